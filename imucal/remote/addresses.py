@@ -226,7 +226,7 @@ def timeout() -> float:
 
 
 class Attempts:
-    """Counts consecutive failures, waits after each, and raises an error after the last."""
+    """Waits after each failure, and raises an error after the last."""
 
     def __init__(self, url: str) -> None:
         self._url = url

@@ -1,7 +1,6 @@
 """The pictures of a report: each axis alone, and the three axes of a sensor together.
 
-They use matplotlib's Agg canvas without global state. Forked processes draw in parallel if possible, because
-a picture takes half a second.
+They use matplotlib's Agg canvas without global state. Forked processes draw in parallel if possible.
 """
 
 import base64
@@ -58,7 +57,7 @@ def check_format(form: str) -> None:
 
 
 def axis_figure(report: Report, axis: AxisReport) -> "Figure":
-    """Return the Allan deviation and psd of one axis with the fitted model and terms."""
+    """Return the Allan deviation and psd of one axis with model and terms."""
     figure, left, right = _figure(report, rows=4)
     fit, units = axis.fit, units_of(report, axis.sensor)
     recorded, structure = _recorded(axis), str(fit.model) or "no term shown"
@@ -190,7 +189,7 @@ def _recorded(axis: AxisReport) -> str:
 
 
 def _table_rows(seen: View) -> list[tuple[str, list[str]]]:
-    """Return a name and a text for each axis; T is in the row of its term."""
+    """Return a name and texts for the axes; T is in the row of its term."""
     rows: dict[str, list[str]] = {}
     for row in seen.rows:
         key, _, time = row.key.partition(" ")

@@ -106,7 +106,7 @@ class Drawn(NamedTuple):
 
 
 def term_entries(fit: NoiseFit, terms: list[Drawn], marked_symbols: set[str]) -> list[Any]:
-    """Return the legend's entries, one per symbol, with a mark if the plot has it."""
+    """Return the legend's entries, one per symbol."""
     from matplotlib.lines import Line2D
 
     entries: Style = {}

@@ -129,7 +129,7 @@ def _labels(estimate: Estimate, units: SheetUnits, sensor: Sensor) -> dict[str, 
 
 
 def _fine(axis: AxisReport, units: SheetUnits) -> JsonObject:
-    """Return the model and its terms as smooth lines, and each coefficient's read-off point."""
+    """Return model and terms as smooth lines, and each coefficient's read-off point."""
     curve, rate = axis.fit.curve, axis.fit.rate_hz
     m, total = smooth_adev(axis.fit, curve.m[shown_points(curve)], _FINE)
     grid, root = smooth_root(axis, _FINE)

@@ -290,7 +290,7 @@ def _header(report: Report) -> JsonObject:
 
 
 def _pair_entries(report: Report) -> Iterator[JsonObject]:
-    """Yield the numbers for filters that coast for 1 min and for 5 min."""
+    """Yield the numbers for coasting for 1 min and 5 min."""
     for sensor, axes in report.by_sensor.items():
         for pair in usual_pairs([axis.fit for axis in axes]):
             units = {"white_unit": TERMS["N"].unit(sensor), "walk_unit": TERMS["K"].unit(sensor)}

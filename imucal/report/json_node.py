@@ -1,6 +1,6 @@
 """JSON documents: nodes with a place in the document, and layouts of dataclasses.
 
-Errors contain the place, the value and the expected type. Numbers that are not finite are null.
+Numbers that are not finite are null.
 """
 
 import json
@@ -258,7 +258,7 @@ def picked(value: object, names: str) -> JsonObject:
 
 
 def dumps(document: object) -> str:
-    """Return the text of a document: one key a line, a list of plain values on one line."""
+    """Return the text of a document, with one key a line."""
     return _text(document, "") + "\n"
 
 

@@ -101,7 +101,7 @@ def html_of(value: Displayed) -> Markup:
 
 
 def _tables(value: Displayed) -> dict[str, Any]:
-    """Return views of fits, or a caption, titles and rows of text."""
+    """Return views of fits, or a table of texts."""
     caption, *more = text_of(value).split("\n")
     match value:
         case Recording() | AxisSeries():

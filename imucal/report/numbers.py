@@ -68,7 +68,7 @@ class Quantity:
 
 
 def gauss_markov_term(fit: NoiseFit, estimate: Estimate) -> GaussMarkov | None:
-    """Return the term of an estimate with a value; None if the model lacks it."""
+    """Return the term of an estimate; None if it is bounded or not in the model."""
     term = fit.drawn.get(estimate.key) if estimate.value is not None else None
     return term if isinstance(term, GaussMarkov) else None
 
@@ -139,9 +139,9 @@ def sheet_units(fits: Sequence[NoiseFit]) -> SheetUnits:
 
 
 def alternatives(estimate: Estimate) -> str:
-    """Return ``or GM`` if another term fits as well, otherwise an empty text; ``T > 310 s`` may follow.
+    """Return ``or GM`` if another term fits as well, otherwise an empty text.
 
-    The terms do not differ for times up to T.
+    With ``or GM, T > 310 s``, the terms do not differ for times up to T.
     """
     text = f"or {' or '.join(estimate.alternatives)}" if estimate.alternatives else ""
     return f"{text}, T > {seconds(estimate.horizon_s)}" if math.isfinite(estimate.horizon_s) else text
@@ -275,7 +275,7 @@ def _bound(high: float) -> str:
 
 
 def rounded_up(bound: float, digits: int) -> str:
-    """Return a bound rounded up to `digits` digits, so that it remains valid."""
+    """Round a bound up to `digits` digits."""
     places = digits - 1 - math.floor(math.log10(bound))
     # A rounding error must not turn 0.12 into 0.13.
     raised = math.ceil(bound * 10.0**places * (1 - 1e-12)) / 10.0**places

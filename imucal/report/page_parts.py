@@ -282,7 +282,7 @@ def _use(chosen: Numbers, sensor: Sensor, symbol: str, formula: str, unit: str) 
 
 
 def _slowest(chosen: Numbers, sensor: Sensor) -> tuple[tuple[float, float], str] | None:
-    """Return ((sigma, T), axis) of the largest of the axes' slowest Gauss-Markov terms."""
+    """Return ((sigma, T), axis) of the largest slowest Gauss-Markov term."""
     known = ((chosen.slowest(axis), axis.axis) for axis in chosen.axes(sensor))
     return max((((term.sigma, term.T), axis) for term, axis in known if term), default=None)
 

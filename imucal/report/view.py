@@ -85,7 +85,7 @@ def _shown(quantity: Quantity, note: str, exponent: int) -> Shown:
 
 @frozen
 class View:
-    """The results of one sensor as rows; `names` are the columns, such as x, y and z."""
+    """The results of one sensor as rows; `names` are the columns, such as x."""
 
     sensor: Sensor | None
     names: tuple[str, ...]
@@ -115,7 +115,7 @@ def view(subjects: Mapping[str, Subject]) -> View:
 
 
 def ordered_keys(seen: Sequence[View]) -> list[str]:
-    """Return the keys of the rows of several views, each once, in order."""
+    """Return the keys of all rows, in order."""
     places = {row.key: row.place for each in seen for row in each.rows}
     return sorted(places, key=lambda key: (places[key], key))
 

@@ -91,7 +91,7 @@ def _names(report: Report, pictures: Sequence[str]) -> tuple[str, ...]:
 def _contents(
     report: Report, drawings: "Drawings", *, html: bool, tell: Callable[[Finding], None]
 ) -> dict[str, bytes]:
-    """Return name -> content; page and report.json list the pictures that failed."""
+    """Return name -> content; page and report.json list failed pictures."""
     contents: dict[str, bytes] = dict(drawings.files)
     failures = tuple(drawings.failures)
     report = replace(report, findings=report.findings + failures)

@@ -108,7 +108,7 @@ class Number:
 
     @property
     def note(self) -> str:
-        """Origin and uncertainty of the number, for a comment next to it."""
+        """Origin and uncertainty of the number."""
         if self.covers:
             return f"covers {', '.join(self.axes)}{self.origin and f', {self.origin}'}"
         text = f"{self.symbol} of {', '.join(self.axes)}{self._certainty()}"
@@ -156,7 +156,7 @@ class Numbers:
     """The numbers of a report for one file format.
 
     Methods raise `DataError` if the report lacks a sensor or an axis, or if a term was not detected and the
-    user refused its bound. Formats iterate over `sensors`, because a log may contain only one sensor.
+    user refused its bound. A log may contain only one sensor.
     """
 
     report: Report
@@ -206,7 +206,7 @@ class Numbers:
         return _joined(numbers, value)
 
     def chosen(self, sensor: Sensor) -> tuple[AxisReport, ...]:
-        """Return the axes that the policy uses for a sensor's number."""
+        """Return the axes that the axis policy uses."""
         policy = self.options.axis_policy
         return (self.axis(sensor, policy),) if policy in ("x", "y", "z") else self.axes(sensor)
 

@@ -168,7 +168,6 @@ class Target:
     """A downstream format: one table of `formats/*.toml`.
 
     - `title`: the consumer and its file, for lists; `heading`: the same for the comment
-    - `file_name`: name of the file if the user gives a folder
     - `source`: source code that was read, and programs that were run, to find the meaning of the numbers
     - `kind`: whether the numbers are continuous or discrete
     - `text`: template of the file without the comment
@@ -178,8 +177,7 @@ class Target:
     - `read_back`: whether `imucal` recognises a user's file by its keys and checks them
     - `documented`: key -> lowest and highest value that the consumer documents
     - `carries`: symbols of the terms that the format supports
-    - `per_axis`, `own_rates`: whether each axis has a number, and each sensor a rate
-    - `notes`: further lines of the comment
+    - `own_rates`: whether each sensor has its own rate
     - `layout`: ``json``, ``xml``, ``opencv``, or the sign that starts a comment
     """
 
@@ -243,10 +241,7 @@ class Target:
         )
 
     def _known(self, numbers: Numbers) -> dict[str, object]:
-        """Return the variables of the templates, which format floats by `real`.
-
-        ``used`` are all numbers in the file; ``f`` is the rate of the file in Hz.
-        """
+        """Return the variables of the templates; ``f`` is the rate of the file in Hz."""
         keys = list(_entries(numbers, self.keys))
         axes = chain.from_iterable(map(numbers.axes, numbers.sensors)) if self.every else ()
         every = [(axis, [numbers.of(axis, symbol) for symbol in self.every]) for axis in axes]
@@ -347,7 +342,7 @@ def _lines(found: Iterable[Entry], indent: str = "") -> str:
 
 
 def price(pair: FilterNumbers) -> str:
-    """Return the cost of a pair: predicted over modelled error after some times of coasting."""
+    """Return the predicted over the modelled error after some times of coasting."""
     within = [(t, ratio) for t, ratio in pair.ratios if t <= pair.horizon_s] or list(pair.ratios)
     ratios = " ".join(f"{ratio:.2g}" for _, ratio in within)
     return f"{ratios} x the model's error at {', '.join(f'{t:g}' for t, _ in within)} s"
