@@ -27,7 +27,7 @@ from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
 from imucal.units import G0, SAMPLE_UNITS
 
-#: Sufficient share of the deviation: NEES is 1.2.
+#: Sufficient share of the required deviation: NEES is 1.2.
 _ENOUGH = 1 / math.sqrt(1.2)
 #: Multiples of the required coefficient: for a note, and for a mistake.
 _CAUTIOUS, _SUSPECT = 10.0, 2.0

@@ -1,7 +1,9 @@
 """The limits file: TOML in, checked values out, each limit with the factor of its unit.
 
-A limit is in the table of an axis (``gyro_x``), a sensor (``gyroscope``: all its axes) or the log. See
-``docs/limits-example.toml``.
+A limit is in the table of an axis (``gyro_x``), a sensor (``gyroscope``: all its axes) or the log::
+
+    [gyroscope]
+    N = { max = 0.3, unit = "deg/sqrt(h)" }     # SI where no unit is given
 """
 
 import difflib
@@ -60,7 +62,10 @@ class FindingRules:
 
 @frozen
 class Baseline:
-    """Allowed relative changes of the coefficients of `terms`; None allows any change."""
+    """Allowed relative changes of the coefficients of `terms`; None allows any change.
+
+    The report is None if the caller gives it.
+    """
 
     report: Path | None = None
     terms: tuple[str, ...] = ("N", "B", "K")
@@ -141,7 +146,10 @@ def text_of(path: Path, expected: str) -> str:
 
 
 def parse_limits(text: str, *, name: str = "limits", folder: Path | None = None) -> Limits:
-    """Return the limits of a TOML text, with the errors of `read_limits`; `name` is for messages."""
+    """Return the limits of a TOML text, with the errors of `read_limits`; `name` is for messages.
+
+    The path of a baseline is relative to `folder`.
+    """
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

@@ -185,7 +185,7 @@ def _units(values: LogValues, units: UnitLikelihoods) -> tuple[UnitValue, ...]:
 def _judged(values: LogValues, units: UnitLikelihoods, posterior: Posterior) -> tuple[UnitValue, ...]:
     """Return each unit with its p-values.
 
-    The quick test uses the posterior of all units, or Student's t; the exact test that of the other units.
+    The quick test uses Student's t or all units' posterior, the exact test the other units' posterior.
     """
     determined = bool(units.normal.all())
     squares = values.squares.mean_by(values.unit, math.exp(2 * values.middle))

@@ -101,7 +101,7 @@ class UnitLikelihoods:
         return values, limits
 
     def log_posterior(self, tau: FloatArray, mu: FloatArray, blurs: Sequence[FloatArray]) -> FloatArray:
-        """Return the log-posterior as a density in log tau; its shape and that of `mu` are (tau, mu).
+        """Return the log-posterior, a density in log tau; it and `mu` have the shape (tau, mu).
 
         `blurs` contains for each tau the matrix that averages likelihoods at `theta` around its row of mu.
         """

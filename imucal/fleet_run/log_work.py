@@ -36,7 +36,10 @@ LogRow: TypeAlias = dict[str, Any]
 
 
 def work_on_batch(settings: FleetSettings, tasks: Sequence[LogTask], child: ChildProcess) -> int:
-    """Process logs in a child process, commit all or none of them, and return how many failed."""
+    """Process logs in a child process, commit all or none, and return how many failed.
+
+    Raises WriteError.
+    """
     return commit([_work_in_child(task, settings, child) for task in tasks], settings)
 
 

@@ -78,8 +78,8 @@ def run_fleet(
     Parameters
     ----------
     logs
-        One or several files, folders, names with wildcards, or URLs; by default the `manifest`'s logs or
-        those of the folder.
+        One or several files, folders, names with wildcards, or URLs; by default the logs of the `manifest`
+        or the folder.
     folder
         Created if it does not exist.
     labels

@@ -282,7 +282,7 @@ def draw(
 ) -> Drawings:
     """Draw the pictures of a report in some formats.
 
-    `page` adds png if a page can show none of them. `paper` adds pictures such as ``gyro-paper.pdf``.
+    `page` adds png if a page can't show the formats. `paper` adds pictures such as ``gyro-paper.pdf``.
     """
     wanted = tuple(formats)
     if page and not _SHOWN_BY_PAGES.keys() & set(wanted):

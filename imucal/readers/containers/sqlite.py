@@ -83,7 +83,7 @@ class SqliteFile(MessageFile):
         return base
 
     def _check_size(self, head: bytes) -> None:
-        """Raise an error for a truncated file, of which SQLite reads zeros."""
+        """Raise an error for a truncated file, which SQLite would fill with zeros."""
         page, pages = struct.unpack_from(">H10xI", head, 16)
         stated = pages * (page if page > 1 else 1 << 16)
         # Encrypted files lack these constants.

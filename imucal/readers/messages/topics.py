@@ -258,7 +258,7 @@ def _with_sensors(topic: Topic, options: ReadOptions) -> Topic:
     columns = dict.fromkeys([*_columns(topic, None), *_columns(topic, options.columns)])
     topic = replace(topic, columns=tuple(columns))
     if len(options.topics) == 2 and topic.name in options.topics:
-        # Of two topics the first is the gyroscope.
+        # The first of two topics is the gyroscope, unless names decide.
         topic = replace(topic, wanted=tuple(Sensor)[options.topics.index(topic.name)])
     if options.columns is None:
         return _by_name(topic, named=topic.name in options.topics)

@@ -288,7 +288,7 @@ _MAX_SENSORS = 8
 def find_bare_triads(table: NamedTable, name: str) -> tuple[Found, str]:
     """Return the sensors of bare columns x, y, z, and the reason; empty without such columns.
 
-    Raises ChoiceError.
+    Raises ChoiceError if the sensor is unknown.
     """
     axes = next(_whole(table, Role.VECTOR), None)
     if axes is None:
@@ -354,7 +354,7 @@ def _tags(texts: set[str]) -> dict[Sensor, list[str]]:
 def _rows_of_sensors(table: NamedTable, found: Found) -> tuple[Found, str]:
     """Restrict columns to the rows of their sensor if a text column contains it; return the reason, too.
 
-    Raises ChoiceError.
+    Raises ChoiceError if rows of several sensors can't be separated.
     """
     for column in table.columns:
         texts = [] if column.role is Role.TIME else sorted({*column.filled})

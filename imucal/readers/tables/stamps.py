@@ -142,7 +142,11 @@ def _ns_of(values: Numbers, ns: int) -> IntArray:
 
 
 def infer_time_unit(values: Numbers) -> tuple[str | None, tuple[str, ...]]:
-    """Return the most plausible unit of an IMU's times (or None), and all units that fit."""
+    """Return the most plausible unit of an IMU's times (or None), and all units that fit.
+
+    A unit fits if the rate is between 1 Hz and 20 kHz. If several fit, the magnitude of a time since 1970
+    decides.
+    """
     rates = rates_by_unit(values)
     if not rates:
         return None, ()
@@ -269,7 +273,7 @@ def choose_times(table: NamedTable, sensor: Sensor) -> list[TimeChoice]:
 def time_of_columns(table: NamedTable, indices: Sequence[int]) -> TimeChoice:
     """Return the time in one column, in a coarse and a finer one, or in a date and a time of day.
 
-    Raises ChoiceError.
+    Raises ChoiceError if the columns are not a time.
     """
     columns = [table.columns[index] for index in indices]
     column = columns[0]
