@@ -1,12 +1,11 @@
 """Tests of stationarity, and wider intervals for records that are not stationary.
 
-The likelihood's interval assumes one stationary process, but users read it as a prediction of the next
-record. If the segments of a record differ by more than chance, the interval is widened by the Birge ratio
-sqrt(Q/dof). A misfit of the spectrum also widens it; the larger factor counts, because changing noise is one
-cause of a misfit.
+If the segments of a record differ by more than chance, the interval is widened by the Birge ratio
+sqrt(Q/dof), because users read it as a prediction of the next record. A misfit of the spectrum also widens
+it; the larger factor counts, because changing noise is one cause of a misfit.
 
-Noise may change faster than the segments show. For stationary noise, the mean squares of the samples' steps
-in neighbouring short windows differ as much as in distant ones. If they differ less, the variance changes.
+Noise may change faster than the segments show. If the mean squares of the samples' steps in neighbouring
+short windows differ less than in distant ones, the variance changes.
 
 Sources: Cochran (1954), Biometrics 10, 101 (Q); Birge (1932), Physical Review 40, 207 (the ratio);
 DerSimonian & Laird (1986), Controlled Clinical Trials 7, 177 (the spread between segments); Bartlett (1937),
@@ -33,20 +32,19 @@ _MAX_WINDOWS, _MIN_WINDOWS, _MIN_WINDOW_SAMPLES = 1024, 24, 128
 _PART = 1 << 16
 #: Score of von Neumann's ratio from which the variance changes.
 _SCORE = 5.0
-#: Least relative standard deviation of the noise that is reported.
+#: Least relative standard deviation that is reported.
 _NOTABLE_CHANGE = 0.1
 #: Share of the variance in one period that makes a change periodic.
 _PERIODIC = 0.5
-#: Ratio of lower limit to value below which a slow term's interval is symmetric and widened linearly; others
-#: are widened in logarithms.
+#: Ratio of lower limit to value below which a slow term's interval is widened linearly, not in logarithms.
 _NARROW = 0.8
 #: Lower limits below this share of the upper limit count as zero.
 NEGLIGIBLE = 0.02
-#: Units of time: upper limit and size in s, and name; hours beyond.
+#: Units of time: upper limit and size in s, and name.
 _UNITS = ((120.0, 1.0, "s"), (7200.0, 60.0, "min"))
 #: Standard error of a log below which a single segment determines a term.
 SURE = 0.1
-#: Share of Q that a single shift explains: a steady trend over eight segments leaves 17 %.
+#: Share of Q that a single shift explains.
 _ONE_SHIFT = 0.85
 #: Relative spread between segments from which the finding is a warning.
 _NOTABLE_SPREAD = 0.05
@@ -67,10 +65,7 @@ class VarianceChange:
 
 
 def find_variance_change(series: AxisSeries) -> VarianceChange | None:
-    """Return the change of the variance of an axis's steps, or None if it is small or due to chance.
-
-    Steps across gaps count too. O(n).
-    """
+    """Return the change of the variance of an axis's steps, or None if it is small or due to chance."""
     count = min(_MAX_WINDOWS, (series.n - 1) // _MIN_WINDOW_SAMPLES)
     if count < _MIN_WINDOWS:
         return None
@@ -122,7 +117,7 @@ def homogeneity(
 ) -> TermHomogeneity:
     """Return the homogeneity of a term from its `statistic` Q and its log coefficients in s segments.
 
-    `logs` and `weight`, their inverse variances, have shape (s,); `spans`, shape (s, 2), are start and end.
+    `logs` and `weight`, their inverse variances, have shape (s,); `spans` has shape (s, 2).
     """
     dof = logs.size - 1
     p_value = float(scipy.special.chdtrc(dof, max(statistic, 0.0)))
@@ -144,10 +139,7 @@ def homogeneity(
 
 
 def _shift(logs: FloatArray, weight: FloatArray, spans: FloatArray) -> tuple[float, float] | None:
-    """Return time, in s, and factor of a coefficient's single change; None if it changes otherwise.
-
-    The segment of the change contains both levels; all before it, and all after it, must agree within chance.
-    """
+    """Return time, in s, and factor of a coefficient's single change; None if it changes otherwise."""
     whole, best = cochran_q(logs, weight), (math.inf, 0)
     for at in range(1, logs.size - 1):
         before, after = slice(at), slice(at + 1, None)

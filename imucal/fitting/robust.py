@@ -1,7 +1,7 @@
 """Spikes and rounding, which make the noise of a log look larger than the sensor's.
 
-A spike distorts an Allan variance at every averaging time, so the samples are cleaned. Spikes are found by
-their distance from a baseline, which follows the slow parts, and are replaced by baseline plus noise.
+Spikes are found by their distance from a baseline, which follows the slow parts, and are replaced by baseline
+plus noise, because a spike distorts an Allan variance at every averaging time.
 """
 
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ _BLOCK = 100
 _BLOCKS = 512
 #: Deviations from the baseline that make a sample a possible spike.
 _MIN_SPIKE = 5.0
-#: Expected number of false spikes in a whole series of Gaussian noise.
+#: Expected number of false spikes in a series of Gaussian noise.
 _FALSE_ALARMS = 0.01
 #: Standard deviation of Gaussian noise, over its median absolute deviation.
 _DEVIATION = 1.4826
@@ -33,7 +33,7 @@ _BODY = 3.0
 _GAUSSIAN = 1e4
 #: Share of spikes above which the noise itself is in doubt.
 _MANY = 0.01
-#: Factor on N's interval, an excess kurtosis of 6, above which the kurtosis may not be finite.
+#: Factor on N's interval above which the kurtosis may not be finite.
 _UNCERTAIN = 2.0
 #: Share of N² above which rounding is reported.
 _NOTABLE = 0.02
@@ -75,13 +75,12 @@ def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
 
 
 def find_spikes(samples: FloatArray) -> tuple[BoolArray, FloatArray, float]:
-    """Return which samples are spikes, shape (n,), the baseline, and the standard deviation about it; O(n).
+    """Return which samples are spikes, shape (n,), the baseline, and the standard deviation about it.
 
     If there are clearly no spikes, baseline and deviation are `samples` and 0. The baseline joins the medians
-    of blocks of 100 samples by straight lines. A spike is more than 5 standard deviations (1.4826 median
-    absolute deviations) from it, and beyond the distance that one in a hundred Gaussian records of this
-    length reaches. More samples must be this far than in the tail of the Student's t with the same number
-    beyond 3 deviations.
+    of blocks by straight lines. A spike is more than 5 standard deviations (1.4826 median absolute
+    deviations) from it, farther than nearly all Gaussian records of this length reach, and beyond the end
+    of the noise's own tail.
 
     Source: Hampel (1974), JASA 69, 383 (median and median absolute deviation).
     """
@@ -89,14 +88,14 @@ def find_spikes(samples: FloatArray) -> tuple[BoolArray, FloatArray, float]:
         return np.zeros(samples.size, dtype=bool), samples, 0.0
     reach = max(_MIN_SPIKE, -float(scipy.special.ndtri(_FALSE_ALARMS / (2 * samples.size))))
     distance = _distance(samples)
-    # If the farthest sample is within reach of the median distance, there is no spike: skip the median.
+    # If the farthest sample is within reach of the median distance, there is no spike.
     near = float(distance.max()) / (reach * _DEVIATION)
     if 2 * np.count_nonzero(distance < near) < samples.size:
         return np.zeros(samples.size, dtype=bool), samples, 0.0
     baseline = _baseline(samples)
     deviation = _DEVIATION * float(np.median(distance))
     if deviation == 0:
-        # More than half of the samples are on the baseline: the steps are coarse, and one step is no spike.
+        # More than half of the samples are on the baseline: one coarse step is no spike.
         deviation = step_size(samples) or 0.0
     if deviation == 0:
         return np.zeros(samples.size, dtype=bool), baseline, 0.0
@@ -210,7 +209,7 @@ def _baseline_parts(samples: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
 
 
 def _medians(samples: FloatArray, block: int) -> FloatArray:
-    """Return the medians of whole blocks; four times as fast as NumPy's median, which checks for NaN."""
+    """Return the medians of whole blocks; NumPy's median, which checks for NaN, takes four times as long."""
     count, half = samples.size // block, block // 2
     medians = np.empty(count)
     for first in range(0, count, _BLOCKS):
@@ -222,7 +221,7 @@ def _medians(samples: FloatArray, block: int) -> FloatArray:
 
 
 def _tail_finding(series: AxisSeries, factor: float) -> tuple[Finding, ...]:
-    """Return a warning if outliers in the noise make N uncertain; `factor` as `heavy_tails`."""
+    """Return a warning if outliers in the noise make N uncertain."""
     if factor < _UNCERTAIN:
         return ()
     text = (
@@ -237,8 +236,7 @@ def heavy_tails(samples: FloatArray, neighbours: BoolArray | None = None) -> flo
     """Return the factor by which heavy tails widen N's interval, at least 1.
 
     The variance of the logarithm of white noise's mean square is (2 + k)/n with its excess kurtosis k; the
-    excess kurtosis of its steps is k/2. Excess within four standard errors counts as none. Only steps between
-    `neighbours` count, shape (n-1,); all by default.
+    excess kurtosis of its steps is k/2. Only steps between `neighbours` count, shape (n-1,); all by default.
     """
     if samples.size < 2:
         return 1.0

@@ -3,14 +3,12 @@
 Variances are relative to a typical Allan variance of the curve, and times to the sampling period, so that
 results do not depend on the unit of the samples.
 
-An Allan variance is a mean of squares of d_t, the second differences of the summed signal. For Gaussian
-noise the covariance of two Allan variances is therefore a sum of squared covariances of d_t. They follow from
-V(n), the generalised variance of a sum of n samples, of each term (a multiple of n² cancels):
+An Allan variance is a mean of squares of d_t, the second differences of the summed signal. For Gaussian noise
+the covariance of two Allan variances follows from V(n), the generalised variance of a sum of n samples, of
+each term (a multiple of n² cancels):
 
     cov(d_t at m_i, d_{t+k} at m_j) = -1/(4 m_i m_j) sum_ab c_a c_b V(|k + b m_j - a m_i|),
     cov(avar_i, avar_j) = 2/(M_i M_j) sum_k n_ij(k) s_ij(k)^2,        c = (1, -2, 1).
-
-The sum is quadratic in the terms' variances, with coefficients that are computed once for a set of terms.
 
 Source: Greenhall & Riley (2003), "Uncertainty of stability variances based on finite differences", for one
 averaging time; two averaging times are analogous.
@@ -38,11 +36,11 @@ _SIGNS = np.array([1.0, -2.0, 1.0])
 _ALL_LAGS = 300
 #: All lags up to this distance from a kink are summed; beyond it, four per octave.
 _NEAR = 6
-#: Largest lag, in averaging times: the covariance of flicker falls with the fourth power of the lag.
+#: Largest lag, in averaging times: the covariance of flicker falls with the fourth power.
 _FLICKER_REACH = 24
 #: Largest lag beyond the windows of a term with a correlation time, in such times.
 _TIMES_REACH = 20.0
-#: Smallest ratio of neighbouring averaging times of a fit; closer ones add almost no information.
+#: Smallest ratio of neighbouring averaging times; closer ones add almost no information.
 _MIN_SPACING = 1.9
 
 
@@ -69,12 +67,10 @@ class AvarCovariance(ReadOnlyArrays):
 
 
 def avar_covariance(m: IntArray, n: int, terms: Sequence[NoiseTerm], *, overlapping: bool) -> AvarCovariance:
-    """Return the covariance of the Allan variances of `n` samples at averaging factors `m`.
+    """Return the covariance of the Allan variances of `n` samples at averaging factors `m`, shape (k,).
 
-    The factors, shape (k,), are from 1 to n // 2; others raise a ValueError. `terms` have unit variances, and
-    times in samples. If not `overlapping`, the Allan variances are those of adjacent windows. Lags are summed
-    on a grid that is dense near the kinks of the covariance: about a thousand evaluations per pair of
-    averaging times, with a relative error below 1e-3.
+    Factors outside 1 … n // 2 raise a ValueError. `terms` have unit variances, and times in samples. Lags are
+    summed on a grid that is dense near the kinks of the covariance, with a relative error below 1e-3.
     """
     if m.size and not (m.min() >= 1 and m.max() <= n // 2):
         raise ValueError(f"averaging factors must be in 1..{n // 2} for {n} samples")
@@ -183,9 +179,8 @@ class AvarPoints:
     """Allan variances to fit, at increasing averaging factors `m`; arrays have the shape (k,).
 
     `avar` are the variances divided by `scale`, in U², and `used` their indices in the curve. `n` is the
-    number of samples; if it is not known (`known_n`), the smallest that allows the longest averaging time.
-    `tau0` is in s. `excess` is the excess kurtosis of the white part of the samples, 0 if it is Gaussian or
-    unknown.
+    number of samples; if unknown, the smallest that allows the longest averaging time. `tau0` is in s.
+    `excess` is the excess kurtosis of the white part of the samples, 0 if unknown.
     """
 
     m: IntArray
@@ -200,7 +195,6 @@ class AvarPoints:
 
     @property
     def size(self) -> int:
-        """Number of points."""
         return self.m.size
 
     def within(self, first: int) -> "AvarPoints":
@@ -258,7 +252,7 @@ def is_timed(symbol: str) -> bool:
 
 
 def unit_terms(symbols: Sequence[str], times: Iterable[float] = ()) -> tuple[NoiseTerm, ...]:
-    """Return terms of unit variance per sample; `times`, in samples, has one for each term with a time."""
+    """Return terms of unit variance per sample; `times` of those that have one are in samples."""
     given = iter(times)
     return tuple(TERMS[s].of(1.0, float(next(given))) if is_timed(s) else TERMS[s].of(1.0) for s in symbols)
 
@@ -273,8 +267,7 @@ def columns(m: IntArray, terms: Sequence[NoiseTerm]) -> FloatArray:
 def spread_of(points: AvarPoints, terms: Sequence[NoiseTerm]) -> AvarCovariance:
     """Return the covariance of the points, for any variances of a set of terms.
 
-    White noise of excess kurtosis g and Allan variances avar adds g avar_i avar_j / n, because every sample
-    has the same weight in them.
+    White noise of excess kurtosis g adds g avar_i avar_j / n, because every sample has the same weight.
     """
     gaussian = avar_covariance(points.m, points.n, terms, overlapping=points.overlapping)
     random = [term for term in terms if not isinstance(term, RateRamp)]
@@ -288,8 +281,8 @@ def spread_of(points: AvarPoints, terms: Sequence[NoiseTerm]) -> AvarCovariance:
 def _excess_kurtosis(series: AxisSeries) -> float:
     """Return the excess kurtosis of the white part, or 0 if it is not significant.
 
-    Differences of neighbouring samples are mostly white noise, with half of its excess kurtosis. Tails
-    lighter than those of a uniform distribution belong to a tone, so the result is limited to that.
+    Differences of neighbouring samples have half of it. Tails lighter than a uniform distribution's belong to
+    a tone.
     """
     steps = series.n - 1
     if steps < 100:

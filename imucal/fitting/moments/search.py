@@ -1,14 +1,10 @@
 """The model whose Allan variances are nearest to the measured ones, and the limits of its terms.
 
-For given times, the weighted sum of squares is a non-negative least-squares problem with one solution. Times
-are searched on a grid and refined from its best places, so each run has the same result.
+For given times, the weighted sum of squares J is a non-negative least-squares problem; times are searched on
+a grid and refined. Models are compared by J + parameters * price, with the price ln n (``bic``), 2 ln ln n
+(``hq``) or 2 (``aic``), n the number of samples. A backward elimination starts with all terms.
 
-Choice of terms. If the model is right, the sum of squares J with the inverse covariance as weight is
-chi-squared with (points - parameters) degrees of freedom. Models are compared by J + parameters * price, with
-the price ln n (``bic``), 2 ln ln n (``hq``) or 2 (``aic``), n the number of samples. The search begins with
-all terms and removes, one at a time, the term whose loss costs least.
-
-Intervals. With weight W and covariance V of the Allan variances y, the estimate is linear near its solution,
+With weight W and covariance V of the Allan variances y, the estimate near its solution is
 theta = (G'WG)^-1 G'W y, and its covariance is the sandwich of V. V depends on the variances, so an interval
 contains the values v with
 
@@ -40,22 +36,21 @@ from imucal.solvers import non_negative, root
 
 #: Times per decade of the grid; places to refine.
 _PER_DECADE, _STARTS = 3, 3
-#: Tolerances of the sum of squares, for results and for the choice of a model.
+#: Tolerances of the sum of squares: for results, and for choosing a model.
 _FINE, ROUGH = 1e-12, 1e-3
 #: Step of a log time for a numerical derivative.
 _STEP = 1e-4
 #: Misfit above which the shortest averaging times are dropped, the factor by which this must reduce it, and
 #: the largest number of octaves to drop.
 _FILTERED, _CURE, _MAX_DROPPED_OCTAVES = 5.0, 3.0, 8
-#: Largest number of updates of the weight; three are usually enough.
+#: Largest number of updates of the weight.
 _UPDATES = 5
 
 
 def whitening(covariance: FloatArray) -> FloatArray:
-    """Return W, shape (k, k), whose product W'W is the inverse of a covariance of shape (k, k).
+    """Return W, shape (k, k), whose product W'W is the inverse of a covariance; none raises a DataError.
 
-    Adding 1e-6 of each variance keeps the factorisation stable: the covariance, whose lags are summed on a
-    grid, has a relative error of 1e-3. A covariance without an inverse raises a DataError.
+    Adding 1e-6 of each variance keeps the factorisation stable: the covariance has a relative error of 1e-3.
     """
     variance = np.diag(covariance)
     if not (np.all(np.isfinite(covariance)) and variance.min() > 0):
@@ -88,7 +83,6 @@ class Solution:
 
     @property
     def symbols(self) -> tuple[str, ...]:
-        """Symbols of the terms."""
         return tuple(term.symbol for term in self.terms)
 
     @property
@@ -98,15 +92,12 @@ class Solution:
 
     @property
     def parameters(self) -> int:
-        """Number of free parameters."""
         return len(self.terms) + self.times.size
 
     def avar(self, points: AvarPoints) -> FloatArray:
-        """Return the model's Allan variance, shape (k,)."""
         return columns(points.m, self.terms) @ self.variances
 
     def covariance(self, points: AvarPoints) -> FloatArray:
-        """Return the covariance of the points under this model, shape (k, k)."""
         return spread_of(points, self.terms).at(self.variances)
 
     def model(self, points: AvarPoints) -> NoiseModel:
@@ -134,8 +125,8 @@ def minimum(
 ) -> Solution:
     """Return the minimum over the variances and times of terms.
 
-    `weight` is the W of `whitening`. `near` are times close to those of the minimum; without them, times are
-    searched on a grid. `tolerance` is the relative change of the sum of squares at the end.
+    `weight` is the W of `whitening`. Times are searched from `near`, or on a grid. `tolerance` is the
+    relative change of the sum of squares at the end.
     """
     symbols = in_order(symbols)
     target = weight @ points.avar
@@ -193,7 +184,7 @@ def _refined(
 
 
 def all_terms(points: AvarPoints, max_gm: int) -> tuple[str, ...]:
-    """Return the symbols of the largest model, with fewer parameters than points."""
+    """Return the symbols of the largest model with fewer parameters than points."""
     every = [(symbol, term) for symbol, term in TERMS.items() if "gmwm" in term.fitted_by]
     symbols = [symbol for symbol, term in every for _ in range(max_gm if term.repeatable else 1)]
     while len(symbols) > 1 and len(symbols) + sum(map(is_timed, symbols)) >= points.size:
@@ -215,8 +206,8 @@ class CurveFit:
 def best_fit(points: AvarPoints, eta3: FloatArray, settings: FitSettings) -> CurveFit:
     """Return the chosen or given model at its minimum, with the weight of the model itself.
 
-    A search compares models with the weight of the largest one. A model that lacks a small term can win with
-    this weight, but has a misfit with its own. Then the previous, larger model is taken.
+    The search compares models with the weight of the largest one. A chosen model that lacks a small term can
+    have a misfit with its own weight; then the previous, larger model is taken.
     """
     full = settings.weights == "full"
     if settings.structure is not None:
@@ -302,8 +293,7 @@ def best_band(points: AvarPoints, eta3: FloatArray, settings: FitSettings) -> tu
 def goodness(points: AvarPoints, solution: Solution, covariance: FloatArray) -> Goodness:
     """Return how well a model describes points with the given covariance.
 
-    The statistic is the sum of squares of cube roots of Allan variances, with the given correlations: they
-    are nearly normal even for few degrees of freedom (Wilson & Hilferty 1931).
+    Cube roots of Allan variances are nearly normal even for few degrees of freedom (Wilson & Hilferty 1931).
     """
     model = solution.avar(points)
     tau = (float(points.m[0] * points.tau0), float(points.m[-1] * points.tau0))
@@ -329,8 +319,8 @@ def goodness(points: AvarPoints, solution: Solution, covariance: FloatArray) -> 
 def limits(value: float, spread_at: Callable[[float], float], quantile: float) -> tuple[float, float]:
     """Return the interval of a variance, estimated as `value`; its lower limit is 0 if 0 is inside.
 
-    `spread_at` returns the standard error of the estimate if its argument were the true variance; `quantile`
-    is of chi-squared with one degree of freedom.
+    `spread_at` returns the standard error if its argument were the true variance; `quantile` is of
+    chi-squared with one degree of freedom.
     """
     own = spread_at(value)
 
@@ -385,10 +375,7 @@ def influence(points: AvarPoints, solution: Solution, weight: FloatArray, *, fre
 def curve_estimates(
     points: AvarPoints, solution: Solution, weight: FloatArray, *, level: float
 ) -> tuple[tuple[Estimate, ...], tuple[str, ...], FloatArray]:
-    """Return estimates of the model's terms and of N, B and K, and names and covariance of the parameters.
-
-    A term that is not in the model gets the upper bound that it has when it is added.
-    """
+    """Return estimates of the model's terms and of N, B and K, and names and covariance of the parameters."""
     quantile = float(scipy.special.chdtri(1, 1 - level))
     slopes_of = influence(points, solution, weight)
     scatter = slopes_of @ solution.covariance(points) @ slopes_of.T

@@ -41,11 +41,10 @@ _FINE = 4
 class Block:
     """The ordinates of one run of samples, in scaled units.
 
-    `offset` is the place of its first sample on the clock's grid. The `ordinates` X_k, shape (k,), start at k
-    = 1 and fill the `bins`. `variance`, shape (k,), is the part of the expected X_k² from missing samples,
-    `loss`, shape (b,), each bin's share of information lost to them, and `drawn`, shape (g,), are the missing
-    samples, drawn given the others; None if none is missing. `kept`, shape (k,), masks the ordinates in use,
-    None for all. `temperature` has shape (bins.n,).
+    `offset` is the place of its first sample on the clock's grid. The `ordinates` X_k, shape (k,), start at
+    k = 1 and fill the `bins`. `variance`, shape (k,), is the part of the expected X_k² from missing samples,
+    `loss`, shape (b,), each bin's share of information lost to them, and `drawn`, shape (g,), a draw of the
+    missing samples; None if none is missing. `kept`, shape (k,), masks the ordinates in use, None for all.
     """
 
     offset: int
@@ -64,7 +63,6 @@ class Block:
         return self.regressor(name).__getitem__
 
     def regressor(self, name: str) -> FloatArray:
-        """Return the ordinates of a regressor, by its name."""
         return regressor_ordinates(
             name, self.bins.n, self.ordinates.size, offset=self.offset, temperature=self.temperature
         )
@@ -132,7 +130,7 @@ def _steps_and_bends(samples: FloatArray, largest: float) -> tuple[float, float]
     total = bends = 0.0
     for start in range(0, samples.size - 1, _PART):
         steps = np.diff(samples[start : start + _PART + 2] / largest)
-        # The last step belongs to the next part, if there is one.
+        # The last step belongs to the next part.
         own = steps[:_PART]
         total += float(own @ own)
         bends = max(bends, float(np.max(np.abs(np.diff(steps)), initial=0.0)))
@@ -187,7 +185,7 @@ def _quick(series: AxisSeries, run: Run) -> Run:
 
 
 def _bins(size: int, blocks: int) -> DctBins:
-    """Return the bins of a block, fewer if there are many blocks, to limit their total."""
+    """Return the bins of a block, fewer if there are many blocks."""
     if blocks <= _FINE:
         return dct_bins(size)
     return dct_bins(size, singles=max(16, 512 // blocks), per_octave=max(10, 192 // blocks))
@@ -286,7 +284,7 @@ def _binned(block: Block, scale: float, names: tuple[str, ...]) -> Ordinates:
             cross[i, here] = total(own * v)
             for j, w in enumerate(columns[: i + 1]):
                 gram[i, j, here] = gram[j, i, here] = total(v * w)
-    # Add the transform's rounding error, so that no power is exactly zero.
+    # Add the transform's rounding error, so that no power is zero.
     power += _ROUNDING * whole / block.ordinates.size * size
     if block.loss is not None:
         # A single bin scatters as if it had 1 - loss of its ordinates, an octave, over which noise terms

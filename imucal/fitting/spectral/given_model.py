@@ -1,14 +1,14 @@
 """Fit of a given model to stored bins of one record or of several jointly.
 
-A likelihood ratio tests whether records of one sensor have the same coefficient: one for all records against
-one for each (Wilks 1938, Annals of Mathematical Statistics 9, 60). The other terms are free in each record,
-so that a change of one term is not attributed to another.
+A likelihood ratio tests whether records of one sensor have the same coefficient (Wilks 1938, Annals of
+Mathematical Statistics 9, 60). The other terms are free in each record, so that a change of one term is not
+attributed to another.
 
-Squared coefficients may be negative: positive estimates of an absent term are too large on average. Weighted
-least squares are unbiased if the weights do not follow low ordinates, so the weights come from a spectrum
-with each weak term at one standard deviation (McCullagh & Nelder 1989, Generalized Linear Models, 2nd ed.,
-section 2.5). The standard deviation is a function of the coefficient: weighting many logs by deviations at
-their own estimates would favour low estimates.
+Squared coefficients may be negative: positive estimates of an absent term are too large on average. The
+weights come from a spectrum with each weak term at one standard deviation (McCullagh & Nelder 1989,
+Generalized Linear Models, 2nd ed., section 2.5), because weights that follow low ordinates give a bias. The
+standard deviation is a function of the coefficient: deviations at the logs' own estimates would favour low
+estimates.
 """
 
 import math
@@ -42,9 +42,9 @@ from imucal.noise.model import NoiseModel
 class BinFit:
     """A model fitted to the bins of some records, up to the end of the band, in one scale.
 
-    `problem` joins all records. `whole` is the fit of the given terms and of N, B and K, at zero if the data
-    prefer that. `model` and `estimates` are the reported ones, without and with bounded terms. `misfits` maps
-    symbols to the factors by which a misfit widens their limits.
+    `problem` joins all records. `whole` is the fit of the given terms and of N, B and K. `model` and
+    `estimates` are without and with bounded terms. `misfits` maps symbols to the factors by which a misfit
+    widens their limits.
     """
 
     records: tuple[Ordinates, ...]
@@ -99,7 +99,7 @@ def fit_bins(
 def _band(every: Ordinates, parts: Sequence[Ordinates], structure: Structure, near: float | None) -> Band:
     """Return the band and response of all records; flat if most records are flat by themselves.
 
-    Records with different coefficients fit no common model; jointly they may resemble an output filter.
+    Records with different coefficients may jointly resemble an output filter.
     """
     rich = richest(structure)
     if near is not None or len(parts) == 1:
@@ -120,9 +120,9 @@ _RAISED = 8.0
 class RecordTest:
     """The test of one term over r records.
 
-    `statistic` is twice the drop of the log-likelihood with one coefficient for all records, chi-squared with
-    r - 1 degrees of freedom if they share it. `values` are the records' coefficients in SI, shape (r,), 0 if
-    the data prefer that. `log_deviations` are the standard errors of their logarithms, inf if undetermined.
+    `statistic` is twice the drop of the log-likelihood with one coefficient for all records, chi-squared
+    with r - 1 degrees of freedom if they share it. `values` are the records' coefficients in SI, shape (r,).
+    `log_deviations` are the standard errors of their logarithms, inf if undetermined.
     """
 
     key: str
@@ -198,7 +198,7 @@ def _parts(fit: BinFit, columns: list[int]) -> tuple[Parts, FloatArray]:
 _CLOSE, _ROUNDS = 1e-9, 100
 #: Deviations subtracted from an estimate before it enters the weights.
 _SURE = 2.0
-#: A deviation's growth is computed between zero and the estimate, at least this many deviations.
+#: A deviation's growth is computed up to the estimate, at least this many deviations.
 _FAR = 4.0
 #: Least size of the other terms in this computation, in their deviations.
 _FLOOR = 0.5
@@ -219,8 +219,7 @@ class SquaredCoefficient:
 def squared_coefficients(found: BinFit) -> dict[str, SquaredCoefficient]:
     """Return the squared coefficient of each term of a fit except the ramp, by its key.
 
-    Correlation times and response keep the fit's values; the deviations include their errors. Excess kurtosis
-    and a misfit widen them like the fit's limits.
+    Correlation times and response keep the fit's values; the deviations include their errors.
     """
     problem, fitted = found.problem, found.whole
     ordinates, models = problem.ordinates, fitted.models
@@ -271,9 +270,8 @@ def _deviation_laws(
 ) -> list[tuple[float, float]]:
     """Return deviation at zero and growth of each of the estimates `variance`, shape (t,).
 
-    `slopes`, shape (t + j, b), are derivatives in the terms, then in the other parameters. The weights follow
-    `spectrum`; the true spectrum has one term at a chosen value and the others at their most likely values
-    given it, because the estimates are correlated.
+    `slopes`, shape (t + j, b), are derivatives in the terms, then in the other parameters. One term has a
+    chosen value and the others their most likely values given it, because the estimates are correlated.
     """
     count = variance.size
     weight = 0.5 * size / spectrum**2

@@ -29,7 +29,7 @@ from imucal.powerlaw import PowerLaw
 LAWS = tuple(PowerLaw)
 #: First column after the variances of the power laws in a row of parameters.
 SHAPED = len(LAWS)
-#: Starting values use at most the number of bins of this many blocks.
+#: Starting values use at most the bins of this many blocks.
 _FEW_BLOCKS = 2
 #: Fields of `Ordinates` with the bins along the last axis.
 _BINNED = ("size", "power", "lam", "length", "sign", "basis", "cross", "gram")
@@ -40,11 +40,10 @@ class Ordinates:
     """Binned DCT ordinates, in scaled units: samples divided by `scale`, sampling period 1.
 
     `scale` is U per scaled unit: a power of two, so that scaling is exact. Each bin, shape (b,), has `size`
-    degrees of freedom (kept ordinates minus the loss to gaps), `power`, the sum of their squares, `lam`, the
-    mean of 4 sin²(theta/2), the `length` of its block in samples, and `sign`, (-1)^k for a single ordinate k
-    and 0 for several. `basis`, shape (4, b), is the expected square for a unit variance of each of `LAWS`.
-    For the regressors `names`, `cross` and `gram` are as in `Bins`. `top` is lam at the upper end of the
-    band, the unit of a response's coefficients.
+    degrees of freedom, `power`, the sum of their squares, `lam`, the mean of 4 sin²(theta/2), the `length` of
+    its block in samples, and `sign`, (-1)^k for a single ordinate k and 0 for several. `basis`, shape (4, b),
+    is the expected square for a unit variance of each of `LAWS`. `cross` and `gram` are as in `Bins`. `top`
+    is lam at the upper end of the band.
     """
 
     scale: float
@@ -61,7 +60,7 @@ class Ordinates:
 
     @property
     def count(self) -> float:
-        """Number of ordinates: the sample size for an information criterion."""
+        """Number of ordinates."""
         return float(self.size.sum())
 
     @property
@@ -71,16 +70,15 @@ class Ordinates:
 
     @property
     def fraction(self) -> FloatArray:
-        """Frequency of each bin as a fraction of Nyquist, shape (b,)."""
+        """Frequency of each bin as a fraction of Nyquist."""
         return 2 / np.pi * np.arcsin(np.sqrt(np.minimum(self.lam, 4.0)) / 2)
 
     def __getitem__(self, select: BoolArray) -> "Ordinates":
-        """Return the bins where `select`, shape (b,), is true."""
         return replace(self, **{name: getattr(self, name)[..., select] for name in _BINNED})
 
     @classmethod
     def joined(cls, parts: Sequence["Ordinates"]) -> "Ordinates":
-        """Return the bins of all parts, which share scale and regressors, one after the other."""
+        """Return the bins of all parts, which share scale and regressors."""
         every: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in _BINNED
         }
@@ -119,7 +117,7 @@ def band_top(fraction: float) -> float:
 
 
 def bin_shapes(bins: DctBins) -> dict[str, Any]:
-    """Return the fields of `Ordinates` that do not depend on the samples, by name."""
+    """Return the fields of `Ordinates` that do not depend on the samples."""
     return {
         "lam": LAWS[0].psd(bins.omega),
         "length": np.full(bins.size, float(bins.n)),
@@ -137,7 +135,7 @@ def _basis(bins: DctBins) -> FloatArray:
 def coarser(ordinates: Ordinates, *, singles: int = 12, merge: int = 6) -> Ordinates:
     """Return fewer bins: the first `singles` of each block unchanged, then groups of `merge` bins.
 
-    If there are many blocks, bins of similar frequency are merged again, to limit their number.
+    If there are many blocks, bins of similar frequency are merged again.
     """
     size = ordinates.size
     starts = np.concatenate([[0], np.flatnonzero(np.diff(ordinates.lam) < 0) + 1, [size.size]])
@@ -191,22 +189,19 @@ def exponential_ordinates(n: int, count: int, time: float, offset: int) -> Float
     return float(np.exp(-offset / time)) * shape
 
 
-#: Number of temperature means per requested ordinate, if few are requested.
+#: Number of temperature means per requested ordinate.
 _MEANS = 4
 
 
 def regressor_ordinates(
     name: str, n: int, count: int, *, offset: int = 0, temperature: FloatArray | None = None
 ) -> FloatArray:
-    """Return the ordinates k = 1 … count of a regressor in `n` samples from place `offset` on.
-
-    `temperature`, shape (n,), is given at these samples.
-    """
+    """Return the ordinates k = 1 … count of a regressor in `n` samples from place `offset` on."""
     kind, value = _parsed(name)
     if kind == "temperature":
         if temperature is None:
             raise ValueError(f"regressor {name!r} needs the temperature of the samples, got none")
-        # If few are requested, transform means over equal spans: fast, and the same at low frequencies.
+        # Transform means over equal spans: fast, and the same at low frequencies.
         spans = min(n, _MEANS * (count + 1))
         if spans < n:
             total = np.concatenate([[0.0], np.cumsum(temperature - temperature[0])])
@@ -231,7 +226,7 @@ def _parsed(name: str) -> tuple[str, float]:
 
 
 def regressor_samples(name: str, places: FloatArray, temperature: FloatArray | None = None) -> FloatArray:
-    """Return the regressor at `places` from the first sample of the record, shape of `places`."""
+    """Return the regressor at `places` from the first sample of the record."""
     kind, value = _parsed(name)
     if kind == "temperature" and temperature is not None:
         return lagged(temperature, value)

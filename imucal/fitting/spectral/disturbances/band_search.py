@@ -1,14 +1,12 @@
 """Search for the part of the spectrum and the response of the output filter that a model describes.
 
 If a fit ignores the sensor's output filter, every term is wrong. The search combines a narrower band with a
-response that multiplies the spectrum (`band`). A description is sound if its misfit is within chance and the
-next orders of the response gain nothing. The search takes the sound description that determines N best, with
+response that multiplies the spectrum (`band`). It takes the sound description that determines N best, with
 one order more than necessary, so that the remaining error of the response does not bias N.
 
 White noise behind a one-pole filter has exactly the spectrum of a Gauss-Markov term without white noise, but
 every sensor has white noise. So, if a Gauss-Markov term makes up the top of the spectrum, the search is
-repeated with correlation times that are too long to imitate a filter. If this finds a sound description, N is
-the level in front of the filter, and a finding explains both readings.
+repeated with correlation times that are too long to imitate a filter.
 """
 
 from collections.abc import Callable
@@ -55,25 +53,25 @@ BANDS = (
 )  # fmt: skip
 #: Fraction of Nyquist below which most filters are flat and slow terms are first fitted.
 _LOW = 0.03125
-#: Misfit score below which a description is sound; the same for the whole band without a response.
+#: Misfit score below which a description is sound; the same for a flat band.
 _SOUND, _SOUND_FLAT = 3.0, 4.0
 #: Misfit score from which a hump is searched: one in 40 clean records.
 _UNSURE = 2.0
-#: Largest gain by chance of one and two more orders of the response, in twice the log-likelihood; larger for
-#: a flat band, because a filter that does not exist makes N wrong by a factor of two.
+#: Largest gain by chance of one and two more orders, in twice the log-likelihood; larger for a flat band,
+#: because a filter that does not exist makes N wrong by a factor of two.
 _GAIN, _GAIN_FLAT = (9.0, 12.0), (12.0, 15.0)
-#: Gains that a filter needs if quantization explains at least this share of the top: both bend it.
+#: Gains that a filter needs if quantization has at least this share of the top: both bend it.
 _GAIN_QUANTIZED, _QUANTIZED = (30.0, 33.0), 0.2
 #: Share of the power at the top above which a Gauss-Markov term hides the white noise.
 _MASKING = 0.5
-#: Density ratio of a Gauss-Markov term to the white noise above which the white noise is compared with the
-#: rounding; variance ratio to the rounding below which it is not the sensor's.
+#: Density ratio of a Gauss-Markov term to the white noise above which the white noise may be rounding;
+#: variance ratio to the rounding below which it is.
 _ABOVE, _ROUNDED = 4.0, 3.0
 #: Factor by which a Gauss-Markov term's time must be longer so that it can't imitate the filter.
 _SLOWER = 10.0
 #: Highest number of poles.
 _ORDERS = 5
-#: The zeros of a response are visible above this fraction of Nyquist; at Nyquist the response is zero.
+#: Fraction of Nyquist above which the zeros of a response are visible; at Nyquist the response is zero.
 _NARROW = 0.4
 _ALL_POLES: list[Order] = [(poles, 0) for poles in range(_ORDERS + 1)]
 _WITH_ZEROS: list[Order] = [
@@ -106,8 +104,8 @@ def find_band(
     """Return the band and response that a rich model describes, which contains all candidates.
 
     Q is only fitted without a response, because both bend the top of the spectrum. A `given` structure is
-    preferred if it describes the whole band, with any correlation times and mostly white noise at the top. A
-    band up to `near`, a fraction of Nyquist, that is known not to be flat is tried first.
+    preferred if it describes the whole band. A band up to `near`, a fraction of Nyquist, that is known not to
+    be flat is tried first.
     """
     coarse = _coarse(ordinates)
     plain = tuple(symbol for symbol in rich if symbol != "Q")
@@ -272,7 +270,7 @@ class _BandSearch:
         return [t for t in fits if np.isfinite(t.fit.objective[0])]
 
     def simplest(self, found: tuple[_Trial, _Trial]) -> Band:
-        """Return the band of a sound description, with one order more than necessary unless it is flat."""
+        """Return the band of a sound description, with one order more unless it is flat."""
         simplest, richer = found
         flat = simplest.order == (0, 0) and simplest.fraction == 1.0
         return self.band(simplest if flat else richer, simplest.order)
@@ -309,7 +307,7 @@ class _BandSearch:
 
 
 def _simplest(trials: list[_Trial]) -> tuple[_Trial, _Trial] | None:
-    """Return the simplest sound description of a band and the description with the next order."""
+    """Return the simplest sound description of a band and the one with the next order."""
     by_order = {t.order: t for t in trials}
     for poles, zeros in sorted(by_order, key=lambda order: (sum(order), order)):
         nested = [by_order[o] for more in range(3) if (o := (poles + more, zeros)) in by_order]

@@ -1,8 +1,7 @@
 """Spectral lines: detection, exclusion and likely causes.
 
 An ordinate whose square exceeds the local level by more than chance belongs to a line (a motor, mains, a
-clock). It is left out together with its neighbours, except the lowest ordinates, which contain random walk
-and drift.
+clock). It is left out together with its neighbours.
 """
 
 from collections.abc import Sequence
@@ -18,17 +17,16 @@ from imucal.frozen import frozen
 
 #: False alarm rate per record.
 _CHANCE = 0.01
-#: Number of lowest ordinates that are never left out (up to 24 periods per record are a cycle); half the
-#: number of bins for the local level.
+#: Number of lowest ordinates that are never left out, because they contain random walk, drift and cycles;
+#: half the number of bins for the local level.
 _LOWEST, _NEIGHBOURS = 48, 8
-#: Degrees of freedom of a median per ordinate: 0.64 for many, 0.5 for single ones.
+#: Degrees of freedom of a median per ordinate, for single ones.
 _MEDIAN_EFFICIENCY = 0.5
 #: Median of the square of a standard normal.
 _MEDIAN = 0.4549
 #: Ordinates on each side that a line must exceed: number, and least share of the frequency.
 _NEAR, _NEAR_SHARE = 64, 1 / 800
-#: Largest number of lines subtracted as sines, ordinates on each side for a fit, largest remaining share of
-#: power.
+#: Largest number of lines subtracted as sines, ordinates on each side for a fit, largest remaining power.
 _MAX_SINES, _ABOUT, _REMAINS = 16, 200, 0.1
 #: A line's tail is left out down to this share of the level.
 _TAIL = 0.05
@@ -46,7 +44,6 @@ class Sine:
 
     @property
     def amplitude(self) -> float:
-        """Amplitude in the ordinates' unit."""
         return float(np.hypot(self.cosine, self.sine))
 
     def ordinates(self, n: int, count: int) -> FloatArray:
@@ -106,7 +103,7 @@ def find_lines(
 
 def _limit(sureness: FloatArray, chance: float) -> FloatArray:
     """Return the ratio of a square to the local level that is exceeded with probability `chance`."""
-    # The level is an estimate: F has a far heavier tail than chi-squared if few ordinates determine it.
+    # The level is an estimate: F has a far heavier tail than chi-squared for few ordinates.
     return np.asarray(scipy.special.fdtri(1.0, sureness, 1.0 - chance))
 
 
@@ -149,8 +146,7 @@ def _level(total: FloatArray, count: FloatArray, bins: DctBins) -> tuple[FloatAr
 def _standing_out(square: FloatArray, found: IntArray) -> IntArray:
     """Return the found ordinates that exceed their neighbours: an edge or peak of a filter is no line.
 
-    The level of 17 bins does not follow a steep filter; the level of the nearest ordinates does. Neighbours
-    are kept or removed together.
+    Neighbours are kept or removed together.
     """
     apart = np.maximum(_NEAR, _MAX_SKIP / 2 * found[1:])
     groups = np.split(found, np.flatnonzero(np.diff(found) > apart) + 1)
@@ -161,8 +157,8 @@ def _standing_out(square: FloatArray, found: IntArray) -> IntArray:
 def _is_line(square: FloatArray, near: IntArray) -> bool:
     """Whether the highest of some ordinates exceeds its neighbours, or the neighbours of all.
 
-    At low frequencies bins are as narrow as the neighbourhood. A wandering line is as wide as all found
-    ordinates; a resonance is wider, and at an edge one side is as high.
+    A wandering line is as wide as all found ordinates; a resonance is wider, and at an edge one side is as
+    high.
     """
     top = int(near[np.argmax(square[near])])
     reach = max(_NEAR, int(_NEAR_SHARE * top))
@@ -196,10 +192,7 @@ def left_out(kept: BoolArray) -> tuple[IntArray, IntArray]:
 
 
 def without_strong_lines(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArray, tuple[Sine, ...]]:
-    """Return the ordinates minus the steady sines whose tails are too wide to be left out, and the sines.
-
-    Each sine is fitted by least squares to the ordinates around it.
-    """
+    """Return the ordinates minus the steady sines whose tails are too wide to be left out, and the sines."""
     found: list[Sine] = []
     for _ in range(_MAX_SINES):
         total, peaks = _totals_and_peaks(ordinates, bins)
