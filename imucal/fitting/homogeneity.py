@@ -28,7 +28,6 @@ from imucal.recording import AxisSeries
 
 #: Largest and least number of windows, least number of samples of a window.
 _MAX_WINDOWS, _MIN_WINDOWS, _MIN_WINDOW_SAMPLES = 1024, 24, 128
-#: Steps squared at a time, to stay in the cache.
 _PART = 1 << 16
 #: Score of von Neumann's ratio from which the variance changes.
 _SCORE = 5.0
@@ -40,7 +39,6 @@ _PERIODIC = 0.5
 _NARROW = 0.8
 #: Lower limits below this share of the upper limit count as zero.
 NEGLIGIBLE = 0.02
-#: Units of time: upper limit and size in s, and name.
 _UNITS = ((120.0, 1.0, "s"), (7200.0, 60.0, "min"))
 #: Standard error of a log below which a single segment determines a term.
 SURE = 0.1
@@ -101,7 +99,7 @@ def find_variance_change(series: AxisSeries) -> VarianceChange | None:
 
 
 def _period(logs: FloatArray, duration_s: float) -> float | None:
-    """Return the period that explains most of the logs' variance, if the record contains several."""
+    """Return the period that explains most of the logs' variance, if there are several."""
     power = np.square(np.abs(np.fft.rfft(logs)))[1:]
     near = np.convolve(power, np.ones(3), "same")
     top = int(np.argmax(near))
@@ -115,10 +113,7 @@ def _period(logs: FloatArray, duration_s: float) -> float | None:
 def homogeneity(
     key: str, statistic: float, logs: FloatArray, weight: FloatArray, spans: FloatArray
 ) -> TermHomogeneity:
-    """Return the homogeneity of a term from its `statistic` Q and its log coefficients in s segments.
-
-    `logs` and `weight`, their inverse variances, have shape (s,); `spans` has shape (s, 2).
-    """
+    """Return the homogeneity of a term from its `statistic` Q and its log coefficients in s segments."""
     dof = logs.size - 1
     p_value = float(scipy.special.chdtrc(dof, max(statistic, 0.0)))
     scale = float(weight.sum() - np.square(weight).sum() / weight.sum())
@@ -185,7 +180,7 @@ def widened(
 ) -> tuple[Estimate, ...]:
     """Return the estimates with intervals widened for differing segments and a misfit.
 
-    A slow term whose interval then reaches down to zero is bounded. `misfits` maps symbols to factors.
+    A slow term whose interval then reaches down to zero is bounded.
     """
     return tuple(_wider(estimate, _factor(estimate.symbol, segments, misfits)) for estimate in estimates)
 

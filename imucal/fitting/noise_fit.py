@@ -1,4 +1,4 @@
-"""NoiseFit: the noise model of an axis with intervals; Segments: changes of the noise within a record."""
+"""NoiseFit: the noise model of an axis with intervals; Segments: changes within a record."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -53,9 +53,8 @@ class TermHomogeneity:
 
     `statistic` is chi-squared with `dof` degrees of freedom if the term is the same in all segments. `spread`
     is the relative standard deviation of the coefficient in excess of chance. `factor` is the Birge ratio
-    sqrt(statistic/dof), 1 if chance explains it. `highest_s` and `lowest_s` are start and end, in s from the
-    first sample, of the segments with the extreme coefficients. `shift` is the time, in s, and the factor of
-    a single lasting change.
+    sqrt(statistic/dof), 1 if chance explains it. `highest_s` and `lowest_s` are start and end, in s, of the
+    segments with the extreme coefficients. `shift` is the time, in s, and the factor of a single change.
     """
 
     key: str
@@ -84,8 +83,7 @@ class Segments(ReadOnlyArrays):
     """The noise of a record in segments.
 
     `start_s` and `end_s`, shape (s,), are in s from the first sample. `white` is N. `floor` is the model's
-    Allan deviation at `floor_tau_s`, the time of the lowest deviation or a quarter of a segment; None and NaN
-    without slow noise.
+    Allan deviation at `floor_tau_s`; None and NaN without slow noise.
     """
 
     start_s: FloatArray
@@ -142,13 +140,11 @@ class Estimate:
     `alternatives` are symbols of terms that the record can't distinguish from this one.
 
     `drawn` is the coefficient in the fit's model, None if the model has no such term. A bounded term is in
-    the model if the model without it would be less likely. An estimate with a value but without `drawn`
-    describes the noise of other terms, such as the walk of a slow Gauss-Markov term at short times. The
-    `NoiseFit` sets `drawn` and `sensor`.
+    the model if the model without it would be less likely. The `NoiseFit` sets `drawn` and `sensor`.
 
     `horizon_s` is the longest time for which the coefficient is valid. `widening` is the factor by which the
-    interval is wider than the likelihood's, because segments differ or the model does not fit. `origin`
-    describes a number that is not an estimate of one record, such as a bound over many units.
+    interval is wider than the likelihood's. `origin` describes a number that is not an estimate of one
+    record.
     """
 
     key: str
@@ -231,7 +227,7 @@ class Goodness:
     """How well the model describes the fitted data.
 
     `statistic` is a standard-normal score of the misfit; `chi2_per_bin`, the mean squared standardised
-    residual, is 1 if the model is right. `band_hz` (spectrum) or `tau_s` (curve) is the fitted range.
+    residual, is 1 if the model is right. `band_hz` or `tau_s` is the fitted range.
     """
 
     statistic: float

@@ -19,11 +19,10 @@ from imucal.units import pretty
 
 #: Samples in a block, whose median is a point of the baseline.
 _BLOCK = 100
-#: Blocks processed at a time, to stay in the cache.
 _BLOCKS = 512
 #: Deviations from the baseline that make a sample a possible spike.
 _MIN_SPIKE = 5.0
-#: Expected number of false spikes in a series of Gaussian noise.
+#: Expected number of false spikes in a series.
 _FALSE_ALARMS = 0.01
 #: Standard deviation of Gaussian noise, over its median absolute deviation.
 _DEVIATION = 1.4826
@@ -42,7 +41,7 @@ _NOTABLE = 0.02
 def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
     """Return the series with its spikes replaced, and findings about them and about heavy tails.
 
-    Without spikes the same object is returned. The replacing noise has a fixed seed.
+    Without spikes the same object is returned.
     """
     spike, baseline, deviation = find_spikes(series.samples)
     count = int(spike.sum())
@@ -118,7 +117,6 @@ def _end_of_tail(distance: FloatArray, reach: float) -> float:
     normal = 2 * n * float(scipy.special.ndtr(-_BODY))
     freedom = _GAUSSIAN
     if count > normal + 3 * np.sqrt(normal) + 3:
-        # Find the Student's t with the same number of samples beyond 3 deviations.
         grid = np.geomspace(3.0, _GAUSSIAN, 64)
         of_body = 2 * n * scipy.special.stdtr(grid, -_BODY * _median_of_t(grid) * _DEVIATION)
         freedom = float(np.interp(-count, -of_body, grid))
@@ -141,7 +139,7 @@ def step_size(samples: FloatArray) -> float | None:
         return None
     gaps = np.diff(values)
     step = float(gaps.min())
-    # The values may be rounded to single precision.
+    # Values may be rounded to single precision.
     rounding = 4 * float(np.abs(values).max()) * 2.0**-23
     off_grid = np.abs(gaps / step - np.round(gaps / step)) * step
     return step if bool(np.all(off_grid <= max(rounding, 1e-6 * step))) else None
@@ -192,7 +190,6 @@ def _distance(samples: FloatArray) -> FloatArray:
 
 
 def _baseline_parts(samples: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
-    """Yield straight lines between the medians of blocks, in parts that fit in the cache."""
     n = samples.size
     block = min(_BLOCK, n)
     medians = _medians(samples, block)

@@ -29,7 +29,6 @@ from imucal.noise.terms import Quantization, RateRandomWalk, term_keys
 
 #: Ordinates whose variances are computed at a time.
 _PART = 1 << 16
-#: Key of the sum of all components.
 BIAS = "bias"
 #: Terms that stay in the residual.
 _NOISE = frozenset({"Q", "N"})
@@ -37,7 +36,6 @@ _NOISE = frozenset({"Q", "N"})
 _DRAWN, _DRAWS = 2_000_000, (12, 200)
 #: Conjugate gradients stop at this fraction of the standard error, or fail after this many steps.
 _CLOSE, _STEPS = 1e-3, 5000
-#: Called with the numbers of samples done and in all.
 Progress: TypeAlias = Callable[[int, int], None]
 
 
@@ -96,7 +94,7 @@ class _Law:
     """Distribution of the ordinates: variance 1 / `weight`, flat prior on level and slope.
 
     The slope multiplies the ordinates of a `ramp`. Its estimate is `slope` @ ordinates, with variance
-    `slope_variance`; all are zero without a ramp. Arrays have shape (n,).
+    `slope_variance`. Arrays have shape (n,).
     """
 
     weight: FloatArray
@@ -172,7 +170,7 @@ def _filters(model: NoiseModel, n: int, tau0: float) -> tuple[dict[str, _Filter]
     total, bias = sum(spectra.values(), np.zeros(n)), sum(slow.values(), np.zeros(n))
     law = _Law.of(total, has_ramp="R" in keys)
 
-    # The prior of the level is flat: it is what the other terms leave of ordinate 0.
+    # The prior of the level is flat: the other terms leave it the rest of ordinate 0.
     filters = {}
     if "K" not in slow:
         filters["level"] = _Filter.of(law, np.zeros(n), level=True, left=float(total[0]))
@@ -188,7 +186,7 @@ def _spectrum(term: NoiseTerm, n: int, tau0: float) -> FloatArray:
     """Return the variances of the ordinates 0 … n-1 of a term.
 
     Ordinate 0 of a walk is its level, with a flat prior: it is 0 here. `_Unknown` adds the part of
-    quantization noise in the first and last sample, without which its ordinates are independent.
+    quantization noise in the first and last sample.
     """
     first = np.arange(1, n, dtype=np.int64)
     if isinstance(term, Quantization):
@@ -202,8 +200,8 @@ def _spectrum(term: NoiseTerm, n: int, tau0: float) -> FloatArray:
         raise ArgumentError(msg)
     if isinstance(term, RateRandomWalk):
         return np.concatenate([[0.0], expected])
-    # n times the variance of the mean. Half the structure function at a long lag is the variance of a sample.
-    # It grows with the lag for flicker, whose cycles of more than 3 n samples do not matter for the level.
+    # n times the variance of the mean. Half the structure function at a long lag is the variance of a sample;
+    # for flicker, which has none, cycles of more than 3 n samples do not matter for the level.
     far = np.array([(3.0 if isinstance(term, PowerLawTerm) else 1e9) * n])
     lags = np.arange(1.0, n)
     own = n * term.structure(far, tau0) / 2 - term.structure(lags, tau0) @ (1 - lags / n)
@@ -217,7 +215,7 @@ class _Unknown:
     `places`, shape (u,), are indices and `known` the precision of their observation, zero for missing ones.
     `covariance` of their errors is None if they are more than `count`, the number of draws. `runs`
     precondition: the indices in `places` of all runs of one length, shape (r, length), and the variances of
-    their sines, shape (length,).
+    their sines.
     """
 
     law: _Law
@@ -248,7 +246,6 @@ class _Unknown:
         return replace(result, covariance=np.linalg.inv(matrix))
 
     def complete(self, samples: FloatArray) -> FloatArray:
-        """Return samples with the unknown ones replaced by their means given the others."""
         full, missing = samples.copy(), self.places[self.known == 0]
         others = np.delete(np.arange(samples.size), missing)
         full[missing] = np.interp(missing, others, samples[others])
@@ -275,7 +272,6 @@ class _Unknown:
         return self.law.weigh(self._padded(values))[self.places] + self.known * values
 
     def _solve(self, right: FloatArray) -> FloatArray:
-        """Solve precision @ x = right, by conjugate gradients if there is no covariance."""
         if self.covariance is not None:
             return np.asarray(self.covariance @ right)
         x, rest = np.zeros(right.size), right.copy()

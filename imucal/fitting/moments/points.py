@@ -1,11 +1,10 @@
 """The points of an Allan curve that a fit uses, and their covariance in closed form.
 
-Variances are relative to a typical Allan variance of the curve, and times to the sampling period, so that
-results do not depend on the unit of the samples.
+Variances are relative to a typical Allan variance, and times to the sampling period, so that results do not
+depend on the unit of the samples.
 
 An Allan variance is a mean of squares of d_t, the second differences of the summed signal. For Gaussian noise
-the covariance of two Allan variances follows from V(n), the generalised variance of a sum of n samples, of
-each term (a multiple of n² cancels):
+the covariance follows from each term's V(n), the generalised variance of a sum of n samples:
 
     cov(d_t at m_i, d_{t+k} at m_j) = -1/(4 m_i m_j) sum_ab c_a c_b V(|k + b m_j - a m_i|),
     cov(avar_i, avar_j) = 2/(M_i M_j) sum_k n_ij(k) s_ij(k)^2,        c = (1, -2, 1).
@@ -38,7 +37,7 @@ _ALL_LAGS = 300
 _NEAR = 6
 #: Largest lag, in averaging times: the covariance of flicker falls with the fourth power.
 _FLICKER_REACH = 24
-#: Largest lag beyond the windows of a term with a correlation time, in such times.
+#: Largest lag beyond the windows, in correlation times.
 _TIMES_REACH = 20.0
 #: Smallest ratio of neighbouring averaging times; closer ones add almost no information.
 _MIN_SPACING = 1.9
@@ -104,7 +103,7 @@ def _computed(
 
 @lru_cache(maxsize=8)
 def _every_sum_variance(term: NoiseTerm, size: int) -> FloatArray:
-    """Return V(n) up to a multiple of n², n = 0 … size-1, of a term without a closed form."""
+    """Return V(n) up to a multiple of n², n = 0 … size-1."""
     return read_only(term.sum_variance(np.arange(size, dtype=np.float64), 1.0))
 
 
@@ -136,7 +135,6 @@ def _reach(longest: int, terms: Sequence[NoiseTerm]) -> int:
 
 
 def _lag_grid(mi: int, mj: int, low: int, high: int) -> IntArray:
-    """Return lags from `low` to `high`: all of them, or a grid that is dense near the nine kinks."""
     if high - low <= _ALL_LAGS:
         return np.arange(low, high + 1, dtype=np.int64)
     kinks = np.unique([a * mi - b * mj for a in range(3) for b in range(3)])
@@ -198,11 +196,10 @@ class AvarPoints:
         return self.m.size
 
     def within(self, first: int) -> "AvarPoints":
-        """Return the points from index `first` on."""
         return replace(self, m=self.m[first:], avar=self.avar[first:], used=self.used[first:])
 
     def coefficient(self, symbol: str, variance: float) -> float:
-        """Return a term's coefficient in SI from its variance per sample, divided by `scale`."""
+        """Return a term's coefficient in SI from its variance per sample."""
         deviation = float(np.sqrt(variance * self.scale))
         return deviation / TERMS[symbol].per_sample(self.tau0)
 
@@ -247,7 +244,7 @@ def avar_points(series: AxisSeries | None, curve: AllanCurve) -> AvarPoints:
 
 
 def is_timed(symbol: str) -> bool:
-    """Return whether a term has a correlation time."""
+    """Whether a term has a correlation time."""
     return len(TERMS[symbol].parameters()) > 1
 
 
@@ -267,7 +264,7 @@ def columns(m: IntArray, terms: Sequence[NoiseTerm]) -> FloatArray:
 def spread_of(points: AvarPoints, terms: Sequence[NoiseTerm]) -> AvarCovariance:
     """Return the covariance of the points, for any variances of a set of terms.
 
-    White noise of excess kurtosis g adds g avar_i avar_j / n, because every sample has the same weight.
+    White noise of excess kurtosis g adds g avar_i avar_j / n.
     """
     gaussian = avar_covariance(points.m, points.n, terms, overlapping=points.overlapping)
     random = [term for term in terms if not isinstance(term, RateRamp)]
@@ -281,8 +278,7 @@ def spread_of(points: AvarPoints, terms: Sequence[NoiseTerm]) -> AvarCovariance:
 def _excess_kurtosis(series: AxisSeries) -> float:
     """Return the excess kurtosis of the white part, or 0 if it is not significant.
 
-    Differences of neighbouring samples have half of it. Tails lighter than a uniform distribution's belong to
-    a tone.
+    Tails lighter than a uniform distribution's belong to a tone.
     """
     steps = series.n - 1
     if steps < 100:

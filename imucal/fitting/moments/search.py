@@ -1,8 +1,7 @@
 """The model whose Allan variances are nearest to the measured ones, and the limits of its terms.
 
 For given times, the weighted sum of squares J is a non-negative least-squares problem; times are searched on
-a grid and refined. Models are compared by J + parameters * price, with the price ln n (``bic``), 2 ln ln n
-(``hq``) or 2 (``aic``), n the number of samples. A backward elimination starts with all terms.
+a grid and refined. A backward elimination compares models by J plus a price per parameter (`CRITERIA`).
 
 With weight W and covariance V of the Allan variances y, the estimate near its solution is
 theta = (G'WG)^-1 G'W y, and its covariance is the sandwich of V. V depends on the variances, so an interval
@@ -38,12 +37,11 @@ from imucal.solvers import non_negative, root
 _PER_DECADE, _STARTS = 3, 3
 #: Tolerances of the sum of squares: for results, and for choosing a model.
 _FINE, ROUGH = 1e-12, 1e-3
-#: Step of a log time for a numerical derivative.
+#: Step of a log time for a derivative.
 _STEP = 1e-4
-#: Misfit above which the shortest averaging times are dropped, the factor by which this must reduce it, and
-#: the largest number of octaves to drop.
+#: Misfit above which the shortest averaging times are dropped, least ratio by which this must reduce it, and
+#: largest number of octaves.
 _FILTERED, _CURE, _MAX_DROPPED_OCTAVES = 5.0, 3.0, 8
-#: Largest number of updates of the weight.
 _UPDATES = 5
 
 
@@ -71,7 +69,7 @@ def whitening(covariance: FloatArray) -> FloatArray:
 
 @frozen_alone
 class Solution:
-    """A model at its minimum; `objective` is the weighted sum of squares there.
+    """A model at its minimum, where `objective` is the weighted sum of squares.
 
     The terms have unit variance and times in samples, in the order of `TERMS`; times of one kind rise.
     `variances`, shape (p,), are per sample.
@@ -110,7 +108,7 @@ class Solution:
 
 
 def time_grid(points: AvarPoints) -> FloatArray:
-    """Return times in samples that the points can distinguish, shape (g,)."""
+    """Return times in samples that the points can distinguish."""
     low, high = 0.7 * float(points.m[0]), 1.5 * float(points.m[-1])
     return np.geomspace(low, high, max(2, int(np.ceil(_PER_DECADE * np.log10(high / low)))))
 
@@ -195,7 +193,7 @@ def all_terms(points: AvarPoints, max_gm: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class CurveFit:
-    """A fit: solution, weight, misfit, and the other models by how much worse they are."""
+    """A fit, and the other models by how much worse they are."""
 
     solution: Solution
     weight: FloatArray
@@ -213,7 +211,6 @@ def best_fit(points: AvarPoints, eta3: FloatArray, settings: FitSettings) -> Cur
     if settings.structure is not None:
         start = minimum(points, eta3, settings.structure)
         if full and start.times.size:
-            # Search the times again with nearly the right weight.
             start = minimum(points, whitening(start.covariance(points)), settings.structure)
         return _converged(points, start, eta3, full=full)
     price = CRITERIA[settings.criterion](points.n)
@@ -258,7 +255,6 @@ def _smaller(
 
 
 def _converged(points: AvarPoints, found: Solution, weight: FloatArray, *, full: bool) -> CurveFit:
-    """Return the minimum with the weight of the model itself if `full`, else with the given weight."""
     for _ in range(_UPDATES if full else 0):
         weight = whitening(found.covariance(points))
         previous, found = found, minimum(points, weight, found.symbols, near=found.times)
@@ -339,7 +335,7 @@ def limits(value: float, spread_at: Callable[[float], float], quantile: float) -
 def term_limits(
     points: AvarPoints, solution: Solution, weight: FloatArray, place: int, quantile: float
 ) -> tuple[float, float]:
-    """Return the limits of the variance of the term at `place`, with fixed times and refitted other terms."""
+    """Return the limits of the variance of the term at `place`, with fixed times."""
     if solution.parameters > points.size:
         return 0.0, float("inf")
     design, target = weight @ columns(points.m, solution.terms), weight @ points.avar

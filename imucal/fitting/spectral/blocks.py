@@ -23,15 +23,13 @@ from imucal.fitting.spectral.ordinates import Ordinates, bin_shapes, regressor_o
 from imucal.frozen import frozen_alone
 from imucal.recording import AxisSeries
 
-#: Ratio of second to first differences below which there is only rounding, no noise.
+#: Ratio of second to first differences below which there is no noise.
 _STRAIGHT = 1e-9
-#: Fewest samples of a record and of a block.
 _MIN_SAMPLES = 64
 #: Longest gap to complete; longer ones separate blocks.
 _LONG = 64
-#: Largest number of blocks; if there are more long gaps, shorter ones are completed too.
+#: Largest number of blocks; with more long gaps, shorter ones are completed too.
 _MAX_BLOCKS = 48
-#: Samples processed at a time, to stay in the cache.
 _PART = 1 << 16
 #: Largest number of blocks with bins as fine as without gaps.
 _FINE = 4
@@ -130,7 +128,6 @@ def _steps_and_bends(samples: FloatArray, largest: float) -> tuple[float, float]
     total = bends = 0.0
     for start in range(0, samples.size - 1, _PART):
         steps = np.diff(samples[start : start + _PART + 2] / largest)
-        # The last step belongs to the next part.
         own = steps[:_PART]
         total += float(own @ own)
         bends = max(bends, float(np.max(np.abs(np.diff(steps)), initial=0.0)))
@@ -140,7 +137,7 @@ def _steps_and_bends(samples: FloatArray, largest: float) -> tuple[float, float]
 def make_blocks(series: AxisSeries, temperature: FloatArray | None = None) -> SeriesBlocks:
     """Return the ordinates of finite samples, with gaps completed and lines left out.
 
-    Too few samples, equal samples, and no run that is long enough raise a DataError.
+    Too few samples, equal samples, and no long enough run raise a DataError.
     """
     scale = scale_of(series)
     runs, lost = _runs(series)
@@ -185,7 +182,6 @@ def _quick(series: AxisSeries, run: Run) -> Run:
 
 
 def _bins(size: int, blocks: int) -> DctBins:
-    """Return the bins of a block, fewer if there are many blocks."""
     if blocks <= _FINE:
         return dct_bins(size)
     return dct_bins(size, singles=max(16, 512 // blocks), per_octave=max(10, 192 // blocks))
@@ -250,14 +246,13 @@ def _gap_findings(series: AxisSeries, runs: list[Run], lost: int) -> tuple[Findi
     return (Finding("warning", "gaps-in-fit", text, advice, axis=series.name),)
 
 
-#: Fields of the ordinates that a result keeps.
 _KEPT = ("size", "power", "names", "cross", "gram")
 #: Square of the relative rounding error of a transform.
 _ROUNDING = 1e-28
 
 
 def bin_blocks(blocks: Sequence[Block], scale: float, names: tuple[str, ...] = ("R",)) -> Ordinates:
-    """Return the binned ordinates of all blocks, which share the regressors `names`."""
+    """Return the binned ordinates of all blocks."""
     return Ordinates.joined([_binned(block, scale, names) for block in blocks])
 
 
@@ -297,7 +292,7 @@ def _binned(block: Block, scale: float, names: tuple[str, ...]) -> Ordinates:
 
 
 def bins_of(whole: Ordinates, blocks: SeriesBlocks, *, tau0: float, widening: float) -> Bins:
-    """Return the bins to keep from the ordinates of `blocks`' whole spectrum."""
+    """Return the bins of `blocks` to keep with a result."""
     every = [block.bins for block in blocks.blocks]
     return Bins(
         n=np.array([bins.n for bins in every], dtype=np.int64),

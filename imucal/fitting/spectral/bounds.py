@@ -50,7 +50,7 @@ def with_absent(problem: Problem, fitted: Fits, estimates: tuple[Estimate, ...])
 
 
 def ordered(estimates: Iterable[Estimate]) -> tuple[Estimate, ...]:
-    """Return estimates sorted by rising slope, then by key."""
+    """Return estimates by rising slope, then by key."""
     order = list(TERMS)
     return tuple(sorted(estimates, key=lambda e: (order.index(e.symbol), e.key)))
 
@@ -124,13 +124,12 @@ _WALK = 1 / 20
 #: Terms whose lower limit is only lowered by a model of weight below 1. B is not among them: a Gauss-Markov
 #: term of some seconds next to a walk resembles flicker.
 _LOWERED = frozenset({"K"})
-#: Largest number of models that are completed.
 _MAX_COMPLETED = 16
 
 
 @frozen_alone
 class Alternative:
-    """Estimates of a model near the best, by key; `weight` (1 near the best, 0 far) scales the intervals."""
+    """Estimates of a model near the best, by key; `weight` (1 near, 0 far) scales the intervals."""
 
     weight: float
     terms: dict[str, Estimate]
@@ -141,7 +140,6 @@ class Alternative:
         return self.terms["K"].horizon_s < np.inf
 
     def excludes(self, key: str) -> bool:
-        """Whether a term may be zero, in a model with enough weight to bound it."""
         return _may_be_zero(self.terms[key]) and (self.weight >= 1 or key not in _LOWERED)
 
 
@@ -175,7 +173,7 @@ def _with_rivals(
     others, markov = _alternatives(choice), GaussMarkov.symbol
     horizon = min(model.terms["K"].horizon_s for model in models)
     if markov in others["K"]:
-        # K is valid up to the lower limit of T of the term that replaces it in the nearest model.
+        # K is valid up to the lower limit of the replacing term's T.
         rivals = (s for s in choice.structures if markov in s and "K" not in s)
         rival = choice.fits[[choice.structures.index(next(rivals))]]
         slowest = [column for name, column in rival.columns() if name.endswith(".T")][-1]
@@ -189,7 +187,6 @@ def _with_rivals(
 
 
 def _first_detected(own: Estimate, models: list[Alternative]) -> Estimate:
-    """Return the estimate, or if it has no value, that of the nearest model with a value."""
     every = (own, *(model.terms[own.key] for model in models))
     return next((e for e in every if e.value is not None), own)
 
@@ -215,8 +212,8 @@ def _time_of(found: Estimate) -> float:
 def _walk(slow: Estimate, high: float, reach: float, model: Fits) -> Estimate:
     """Return the walk sigma sqrt(2/T) of a slow Gauss-Markov term, valid up to the lower limit of T.
 
-    Its limits are `reach` standard errors of half the difference of log sigma² and log T, because these two
-    are uncertain but their walk is not.
+    Its limits are `reach` standard errors of half the difference of log sigma² and log T: the walk is certain
+    even if these two are not.
     """
     columns = dict(model.columns())
     sigma, time = (columns[name] for name in GaussMarkov.parameter_names(slow.key))
@@ -233,10 +230,7 @@ def _walk(slow: Estimate, high: float, reach: float, model: Fits) -> Estimate:
 
 
 def _floor(problem: Problem, bound: Estimate, models: list[Fits]) -> Estimate:
-    """Return N from the minima of the near models' spectra, if N may be zero.
-
-    If a fast Gauss-Markov term can explain the noise floor, the models agree on its level.
-    """
+    """Return N from the minima of the near models' spectra, if a fast Gauss-Markov term can replace it."""
     ordinates = problem.ordinates
     levels, freedom = [], []
     for model in models:
@@ -281,10 +275,7 @@ def either(estimates: tuple[Estimate, ...], others: tuple[Estimate, ...]) -> tup
 
 
 def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:
-    """Return for each term the alternatives that the data can't exclude.
-
-    Every model near the best, by Akaike's criterion, contains one of the two, and neither is in all of them.
-    """
+    """Return for each term its alternatives: every model near the best contains one of the two."""
     fit = 2 * (choice.fits.objective + choice.fits.models.parameters)
     near = [set(choice.structures[i]) for i in np.flatnonzero(fit - fit.min() <= _INDISTINGUISHABLE)]
 
@@ -321,7 +312,6 @@ def _time_hull(own: Interval | None, span: list[Estimate]) -> Interval | None:
 
 
 def _may_be_zero(found: Estimate) -> bool:
-    """Whether the lower limit is zero, or negligible relative to the upper limit."""
     return found.low <= NEGLIGIBLE * found.high
 
 

@@ -112,7 +112,7 @@ def _band(every: Ordinates, parts: Sequence[Ordinates], structure: Structure, ne
 
 #: Information on a log coefficient below which it is undetermined.
 _NONE = 1e-8
-#: Distance of a log variance from its lower bound below which the term is absent.
+#: Distance of a log variance from its lower bound below which a term is absent.
 _RAISED = 8.0
 
 
@@ -165,10 +165,7 @@ def record_tests(fit: BinFit) -> tuple[RecordTest, ...]:
 
 
 def _parts(fit: BinFit, columns: list[int]) -> tuple[Parts, FloatArray]:
-    """Return the parts of each term's test, with all other terms free, and the logs of their variances.
-
-    Each record has its own ramp; regressors of one record are zero in the others.
-    """
+    """Return the parts of each term's test, with all other terms free, and the logs of their variances."""
     models, theta = fit.whole.models, fit.whole.theta
     joint, count = Ordinates.joined(fit.records), len(fit.records)
     owner = np.repeat(np.arange(count), [one.size.size for one in fit.records])
@@ -200,7 +197,7 @@ _CLOSE, _ROUNDS = 1e-9, 100
 _SURE = 2.0
 #: A deviation's growth is computed up to the estimate, at least this many deviations.
 _FAR = 4.0
-#: Least size of the other terms in this computation, in their deviations.
+#: Least size of the other terms in this computation.
 _FLOOR = 0.5
 
 
@@ -270,8 +267,8 @@ def _deviation_laws(
 ) -> list[tuple[float, float]]:
     """Return deviation at zero and growth of each of the estimates `variance`, shape (t,).
 
-    `slopes`, shape (t + j, b), are derivatives in the terms, then in the other parameters. One term has a
-    chosen value and the others their most likely values given it, because the estimates are correlated.
+    One term has a chosen value and the others their most likely values given it, because the estimates are
+    correlated.
     """
     count = variance.size
     weight = 0.5 * size / spectrum**2
@@ -294,7 +291,6 @@ def _deviation_laws(
 
 
 def _signed(slopes: FloatArray, level: FloatArray, count: FloatArray) -> FloatArray:
-    """Return the weighted least-squares solution, of either sign."""
     return np.asarray(_inverse(slopes, count) @ (slopes @ (count * level)))
 
 

@@ -23,7 +23,6 @@ from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
 from imucal.frozen import frozen_alone
 from imucal.noise.terms import ALWAYS, TERMS
 
-#: Added to the diagonal of the regressors' correlation.
 _RIDGE = 1e-10
 #: Elements of an array such that a dozen arrays fit in the cache.
 _CACHED = 16384
@@ -70,7 +69,7 @@ class Fits:
         return covariance(self.information[0], self.models.free[0])
 
     def columns(self, added: Iterable[str] = ()) -> list[tuple[str, int]]:
-        """Return name and column of each parameter except R, including the `added` power laws."""
+        """Return name and column of each parameter except R."""
         return self.models.with_laws(added).columns(self.theta[0])
 
     def variances(self, added: Iterable[str] = ()) -> dict[str, int]:
@@ -135,7 +134,7 @@ def covariance(information: FloatArray, free: BoolArray) -> FloatArray:
 
 
 def derivatives(ordinates: Ordinates, model: Models, theta: FloatArray) -> FloatArray:
-    """Return the derivative of one model's spectrum in each parameter at `theta`, shape (p, b)."""
+    """Return the derivatives of one model's spectrum at `theta`, shape (p, b)."""
     spectrum, slopes = spectra(ordinates, model, theta)
     return np.asarray(slopes[0] * spectrum[0])
 
@@ -193,7 +192,7 @@ def regress(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return beta (c, r), its covariance (c, r, r) and each bin's sum of squares without it (c, b).
 
-    `spectrum`, shape (c, b), is given, and `has`, shape (c, r), is the mask of each model's regressors.
+    `has`, shape (c, r), is the mask of each model's regressors.
     """
     if has.size and has.all():
         return _solved(ordinates, has, spectrum, ramp)
@@ -203,7 +202,7 @@ def regress(
     rows = np.flatnonzero(has.any(axis=1))
     if not rows.size:
         return beta, covariance, rest
-    # Skip regressors that no model has: most steps use only a few.
+    # Skip regressors that no model has.
     columns = np.flatnonzero(has.any(axis=0))
     seen = replace(
         ordinates, gram=ordinates.gram[np.ix_(columns, columns)], cross=ordinates.cross[columns], names=()
@@ -219,7 +218,6 @@ def regress(
 def _solved(
     ordinates: Ordinates, use: BoolArray, spectrum: FloatArray, ramp: FloatArray | None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the results of `regress` if every regressor is in some model."""
     grams, crosses = ordinates.gram, ordinates.cross
     number = use.shape[1]
     unit = np.eye(number)

@@ -37,10 +37,7 @@ _JOIN = 8.0
 
 
 def given_up(value: FloatArray, gain: FloatArray, steps: int) -> BoolArray:
-    """Return the mask of the models that are far behind the best and do not catch up, shape (c,).
-
-    `gain` is of the last of `steps` steps.
-    """
+    """Return the mask of the models that are far behind the best and do not catch up, shape (c,)."""
     most = [behind for first, behind in _BEHIND.items() if steps >= first]
     behind = value - np.min(value)
     return np.asarray((behind > (most[-1] if most else np.inf)) & (gain < _CATCHING_UP * behind))
@@ -78,9 +75,8 @@ def maximize(
 ) -> Fits:
     """Maximise the likelihood of each model from its row of `start`, shape (c, p).
 
-    `free`, shape (c, p), masks the parameters to move. `ramp` is a fixed ramp, see `evaluate`. `tolerance` is
-    the gain of the last step. With a `handicap` on the objectives, shape (c,), models far behind the best are
-    given up early.
+    `free`, shape (c, p), masks the parameters to move. `tolerance` is the gain of the last step. With a
+    `handicap` on the objectives, shape (c,), models far behind the best are given up early.
     """
     low, high = bounds(ordinates, models)
     moving = models.free if free is None else free & models.free
@@ -169,7 +165,6 @@ def misfit_factors(ordinates: Ordinates, found: Fits) -> FloatArray:
 
 
 def _residuals(ordinates: Ordinates, found: Fits) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return the first bin, the degrees of freedom and the residual of groups of bins."""
     ratio = ordinates.rest(found.beta[0]) / found.spectrum[0]
     group = np.floor((np.cumsum(ordinates.size) - ordinates.size / 2) / _JOIN)
     first = np.flatnonzero(np.diff(group, prepend=-1.0) != 0)
@@ -178,14 +173,13 @@ def _residuals(ordinates: Ordinates, found: Fits) -> tuple[IntArray, FloatArray,
     return first, size, residual
 
 
-#: Number of correlation times in the dictionary.
 _GRID = 16
 #: Rounds of updates, number of best mixtures of each model, and exponent.
 _EVERY = 1_000_000
 _THOROUGH, _QUICK = ((25, _EVERY, 0.5), (25, 40, 0.5)), ((6, _EVERY, 1.0), (19, 16, 1.0))
 #: Rows at a time: few enough for the cache and for a single thread.
 _ROWS = 96
-#: Keeps logarithms and squares of inverses finite.
+#: Keeps logarithms and inverses finite.
 _TINY = 1e-140
 
 
@@ -208,7 +202,7 @@ def find_starts(
     """Return the best starts of each model: `keep` of them for 0, 1, 2 terms other than power laws.
 
     The results are the model of each start, shape (s,), and its parameters, shape (s, p). `quick` selects
-    mixtures after a quarter of the rounds. With a `response`, mixtures describe the noise before the filter.
+    mixtures early. With a `response`, mixtures describe the noise before the filter.
     """
     times = time_grid(ordinates, models.shortest)
     plans = [_plan(tuple(row), models.slots[SHAPED:]) for row in models.has[:, SHAPED:].tolist()]
@@ -232,7 +226,7 @@ def find_starts(
 def fit_blindly(
     ordinates: Ordinates, models: Models, *, keep: tuple[int, int, int], tolerance: float
 ) -> Fits:
-    """Return the best maximum of each model from its starts, after at most 40 steps."""
+    """Return the best maximum of each model from its starts."""
     owner, theta = find_starts(ordinates, models, keep=keep)
     every = maximize(ordinates, models[owner], theta, tolerance=tolerance, iterations=40)
     rows = [np.flatnonzero(owner == index) for index in range(models.count)]
@@ -269,7 +263,7 @@ def _mixtures(  # noqa: PLR0917 - a helper of one caller
     """Return the parameters of each mixture, shape (s, p), and its -log L, shape (s,).
 
     `owner`, shape (s,), is the model of each mixture, and `places`, shape (s, g), are its terms. In each
-    round only the best mixtures of each model continue; -log L of the others is infinite.
+    round only the best mixtures of each model continue.
     """
     row, column = np.nonzero(places >= 0)
     place = places[row, column]

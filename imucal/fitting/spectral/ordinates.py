@@ -31,7 +31,6 @@ LAWS = tuple(PowerLaw)
 SHAPED = len(LAWS)
 #: Starting values use at most the bins of this many blocks.
 _FEW_BLOCKS = 2
-#: Fields of `Ordinates` with the bins along the last axis.
 _BINNED = ("size", "power", "lam", "length", "sign", "basis", "cross", "gram")
 
 
@@ -42,8 +41,7 @@ class Ordinates:
     `scale` is U per scaled unit: a power of two, so that scaling is exact. Each bin, shape (b,), has `size`
     degrees of freedom, `power`, the sum of their squares, `lam`, the mean of 4 sin²(theta/2), the `length` of
     its block in samples, and `sign`, (-1)^k for a single ordinate k and 0 for several. `basis`, shape (4, b),
-    is the expected square for a unit variance of each of `LAWS`. `cross` and `gram` are as in `Bins`. `top`
-    is lam at the upper end of the band.
+    is the expected square for a unit variance of each of `LAWS`. `top` is lam at the end of the band.
     """
 
     scale: float
@@ -60,7 +58,6 @@ class Ordinates:
 
     @property
     def count(self) -> float:
-        """Number of ordinates."""
         return float(self.size.sum())
 
     @property
@@ -101,7 +98,7 @@ class Ordinates:
         return replace(self, power=self.power * inverse, cross=self.cross * inverse, gram=self.gram * inverse)
 
     def detrended(self) -> "Ordinates":
-        """Return the ordinates minus a roughly fitted ramp, for starting values."""
+        """Return the ordinates minus a roughly fitted ramp."""
         if "R" not in self.names:
             return self
         at = self.names.index("R")
@@ -112,7 +109,7 @@ class Ordinates:
 
 
 def band_top(fraction: float) -> float:
-    """Return lam at a fraction of Nyquist, the upper end of a band."""
+    """Return lam at a fraction of Nyquist."""
     return 4 * float(np.sin(np.pi / 2 * fraction)) ** 2
 
 

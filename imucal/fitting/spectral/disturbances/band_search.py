@@ -51,25 +51,24 @@ def _no_rounding() -> float:
 BANDS = (
     1.0, 0.9, 0.7, 0.5, 0.35, 0.25, 0.18, 0.125, 0.09, 0.0625, 0.045, 0.03125, 0.022, 0.016, 0.011, 0.008
 )  # fmt: skip
-#: Fraction of Nyquist below which most filters are flat and slow terms are first fitted.
+#: Fraction of Nyquist below which most filters are flat.
 _LOW = 0.03125
 #: Misfit score below which a description is sound; the same for a flat band.
 _SOUND, _SOUND_FLAT = 3.0, 4.0
-#: Misfit score from which a hump is searched: one in 40 clean records.
+#: Misfit score from which a hump is searched.
 _UNSURE = 2.0
 #: Largest gain by chance of one and two more orders, in twice the log-likelihood; larger for a flat band,
 #: because a filter that does not exist makes N wrong by a factor of two.
 _GAIN, _GAIN_FLAT = (9.0, 12.0), (12.0, 15.0)
 #: Gains that a filter needs if quantization has at least this share of the top: both bend it.
 _GAIN_QUANTIZED, _QUANTIZED = (30.0, 33.0), 0.2
-#: Share of the power at the top above which a Gauss-Markov term hides the white noise.
+#: Share of the top above which a Gauss-Markov term hides the white noise.
 _MASKING = 0.5
 #: Density ratio of a Gauss-Markov term to the white noise above which the white noise may be rounding;
 #: variance ratio to the rounding below which it is.
 _ABOVE, _ROUNDED = 4.0, 3.0
 #: Factor by which a Gauss-Markov term's time must be longer so that it can't imitate the filter.
 _SLOWER = 10.0
-#: Highest number of poles.
 _ORDERS = 5
 #: Fraction of Nyquist above which the zeros of a response are visible; at Nyquist the response is zero.
 _NARROW = 0.4
@@ -78,7 +77,6 @@ _WITH_ZEROS: list[Order] = [
     *_ALL_POLES,
     *((z + more, z) for z in (1, 2, 3, 4) for more in (0, 1, 2) if z + more <= _ORDERS),
 ]
-#: Fewest bins of a band.
 _MIN_BINS = 24
 
 
@@ -123,7 +121,6 @@ def find_band(
 
 
 def _as_a_filter(found: Band, coarse: Ordinates, plain: Structure, rounding: Rounding) -> Band | None:
-    """Return a filter that explains the spectrum as well as a Gauss-Markov term that hides N, or None."""
     if not found.masked:
         return None
     behind = _BandSearch(coarse, plain, _SLOWER * found.masked, rounding).sound(None)
@@ -149,7 +146,7 @@ def flat_band(
     given: Structure | None = None,
     rounding: Rounding = _no_rounding,
 ) -> Band | None:
-    """Return the whole band without a response, or None if the data need one; see `find_band`."""
+    """Return the whole band without a response, or None if the data need one."""
     coarse = _coarse(ordinates)
     if given is not None and shaped_symbols(given):
         own = _BandSearch(coarse, given, SHORTEST_GIVEN)
@@ -164,7 +161,7 @@ def _coarse(ordinates: Ordinates) -> Ordinates:
 
 
 class _BandSearch:
-    """Fits of one structure to several bands with several responses."""
+    """Fits of one structure to several bands and responses."""
 
     def __init__(
         self, ordinates: Ordinates, structure: Structure, shortest: float, rounding: Rounding = _no_rounding
@@ -185,7 +182,6 @@ class _BandSearch:
         )
 
     def blind(self, seen: Ordinates) -> FloatArray:
-        """Return parameters of the best blind fit without a response, shape (1, p)."""
         models = self.models([(0, 0)])
         return fit_blindly(seen, models, keep=(1, 2, 4), tolerance=1e-3).theta
 
@@ -198,7 +194,7 @@ class _BandSearch:
         *,
         tolerance: float = 1e-3,
     ) -> list[_Trial]:
-        """Fit one band with some responses, each from its row of `starts`, shape (k, p)."""
+        """Fit one band with some responses, each from its row of `starts`."""
         every = maximize(seen, self.models(orders), starts, tolerance=tolerance, iterations=60)
         return [
             _Trial(
@@ -258,7 +254,6 @@ class _BandSearch:
         return self.band(min(self.tried, key=lambda t: t.statistic))
 
     def responses(self, fraction: float, low: FloatArray) -> list[_Trial]:
-        """Return the fits of one band with every order of the response, if their likelihood is finite."""
         seen = self.ordinates.below(fraction)
         orders = _WITH_ZEROS if _NARROW < fraction < 1 else _ALL_POLES
         lowest = min(CORNERS[0], 1 / self.shortest)
@@ -294,14 +289,13 @@ class _BandSearch:
         times = found.theta[0, found.models.variances : found.models.response]
         if not times.size:
             return 0.0
-        # Compare with the white noise where the response is flat.
+        # Compare where the response is flat.
         power = power_response(seen.lam, seen.top, found.theta[0, self.width :], trial.order[1])
         parts = derivatives(seen, found.models, found.theta)[: found.models.variances, power > 0.5]
         white, shaped = parts[COLUMN["N"]], parts[SHAPED:]
         top = parts[:, -HIGHEST:].sum(axis=1)
         hidden = top[SHAPED:].sum() > _MASKING * top.sum()
         if not hidden and np.any(shaped > _ABOVE * white):
-            # The white noise is visible, but it may be rounding noise.
             hidden = float(np.exp(found.theta[0, COLUMN["N"]])) < _ROUNDED * self.rounding()
         return float(np.exp(times[np.argmax(top[SHAPED:])])) if hidden else 0.0
 
@@ -317,7 +311,6 @@ def _simplest(trials: list[_Trial]) -> tuple[_Trial, _Trial] | None:
 
 
 def _enough(trials: list[_Trial], chance: tuple[float, float] = _GAIN, sound: float = _SOUND) -> bool:
-    """Whether the first of nested trials is sound and the next orders gain no more than by chance."""
     first = trials[0]
     gains = [2 * float(first.fit.objective[0] - t.fit.objective[0]) for t in trials[1:]]
     return first.statistic < sound and all(g < most for g, most in zip(gains, chance, strict=False))

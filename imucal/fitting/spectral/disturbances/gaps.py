@@ -39,8 +39,8 @@ def complete(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return expected ordinates, their variances, the lost information, and a draw of the missing samples.
 
-    `samples`, shape (n,), are overwritten; only `seen` ones count. Ordinates and variances have shape (n-1,).
-    The lost share of each bin's information has shape (b,), the drawn missing samples shape (g,).
+    `samples`, shape (n,), are overwritten; only `seen` ones count. The results have the shapes (n-1,), (n-1,),
+    (b,) and (g,).
     """
     n = samples.size
     gaps = np.flatnonzero(~seen)
@@ -57,7 +57,6 @@ def complete(
         previous, spectrum = spectrum, _means(mean_of[1:], groups) + variance
         if number and np.all(np.abs(spectrum - previous) * variance < _MOVED * previous * spectrum):
             break
-        # The draw is made in the transform's domain.
         right = idct2(_weighed(mean_of, 1 / spectrum, groups))[gaps]
         del mean_of
         draw = np.empty(n)
@@ -128,7 +127,6 @@ class _Pairs:
 
     @classmethod
     def of(cls, gaps: IntArray, n: int, groups: IntArray) -> "_Pairs | None":
-        """Return the distances, or None if there are so many that transforms are faster."""
         if gaps.size > _FEW:
             return None
         apart, beyond = np.abs(gaps[:, np.newaxis] - gaps), gaps[:, np.newaxis] + gaps + 1
@@ -198,7 +196,7 @@ def _spans(n: int, groups: IntArray) -> list[tuple[int, int]]:
 
 
 def _groups(bins: DctBins) -> IntArray:
-    """Return the first index of each group of neighbouring bins of 16 ordinates or more."""
+    """Return the first index of each group of bins of 16 ordinates or more."""
     starts = bins.first - 1
     chosen = [0]
     for start in starts[1:].tolist():

@@ -17,8 +17,8 @@ from imucal.frozen import frozen
 
 #: False alarm rate per record.
 _CHANCE = 0.01
-#: Number of lowest ordinates that are never left out, because they contain random walk, drift and cycles;
-#: half the number of bins for the local level.
+#: Number of lowest ordinates that are never left out, because they contain walk and drift; half the number of
+#: bins for the local level.
 _LOWEST, _NEIGHBOURS = 48, 8
 #: Degrees of freedom of a median per ordinate, for single ones.
 _MEDIAN_EFFICIENCY = 0.5
@@ -47,7 +47,6 @@ class Sine:
         return float(np.hypot(self.cosine, self.sine))
 
     def ordinates(self, n: int, count: int) -> FloatArray:
-        """Return its ordinates k = 1 … count in `n` samples."""
         theta = np.pi / n * np.arange(1, count + 1, dtype=np.float64)
         phase = float(np.arctan2(-self.sine, self.cosine))
         return self.amplitude * cycle_ordinates(n, theta, self.omega, phase)
@@ -144,10 +143,7 @@ def _level(total: FloatArray, count: FloatArray, bins: DctBins) -> tuple[FloatAr
 
 
 def _standing_out(square: FloatArray, found: IntArray) -> IntArray:
-    """Return the found ordinates that exceed their neighbours: an edge or peak of a filter is no line.
-
-    Neighbours are kept or removed together.
-    """
+    """Return the found ordinates that exceed their neighbours: an edge or peak of a filter is no line."""
     apart = np.maximum(_NEAR, _MAX_SKIP / 2 * found[1:])
     groups = np.split(found, np.flatnonzero(np.diff(found) > apart) + 1)
     kept = [near for near in groups if near.size and _is_line(square, near)]
@@ -157,8 +153,7 @@ def _standing_out(square: FloatArray, found: IntArray) -> IntArray:
 def _is_line(square: FloatArray, near: IntArray) -> bool:
     """Whether the highest of some ordinates exceeds its neighbours, or the neighbours of all.
 
-    A wandering line is as wide as all found ordinates; a resonance is wider, and at an edge one side is as
-    high.
+    A wandering line is as wide as all found ordinates; a resonance is wider.
     """
     top = int(near[np.argmax(square[near])])
     reach = max(_NEAR, int(_NEAR_SHARE * top))
@@ -249,7 +244,7 @@ def with_sines(
     return tuple(sorted((*whole, *others), key=lambda line: -line.amplitude))
 
 
-#: Mains frequencies in Hz, number of harmonics, and largest relative error of the mains frequency.
+#: Mains frequencies in Hz, number of harmonics, and their largest relative error.
 _MAINS, _HARMONICS, _GRID_ERROR = (50.0, 60.0), 3, 4e-3
 
 

@@ -24,7 +24,7 @@ _STRUCTURE = ("N", "B", "GM", "K", "R")
 _LOWEST = 4000
 #: Time constants of a warm-up, as parts of the record.
 _WARM_UPS = np.geomspace(0.01, 2.0, 12)
-#: Time constants around the best one, relative to it.
+#: Time constants around the best one.
 _NEAR_WARM_UPS = np.geomspace(1 / 1.5, 1.5, 9)
 #: Lags of a temperature, as parts of the record.
 _LAGS = np.geomspace(3e-4, 0.1, 16)
@@ -32,13 +32,11 @@ _LAGS = np.geomspace(3e-4, 0.1, 16)
 _MIN_PERIODS, _MAX_PERIODS = 2.0, 24.0
 #: Fewest periods per record of a slow cycle.
 _MIN_SLOW_PERIODS = 0.7
-#: Number of ordinates for a slow cycle.
 _OF_SLOW = 128
 #: Spacing of the periods per record: of the search, and around its peak.
 _SPACING, _FINE = 0.25, 1 / 64
-#: Least gain of a shape beyond its price, in twice the log-likelihood.
+#: Least gain beyond the price, in twice the log-likelihood.
 _MARGIN = 7.0
-#: False alarm rate of steps.
 _CHANCE_STEP = 0.002
 #: Price of a cycle: Baluev (2008), MNRAS 385, 1279. It does not depend on the rate.
 _PRICE_CYCLE = 16.0
@@ -50,7 +48,7 @@ _PRICE_SLOW_CYCLE, _PRICE_WARM_UP = 20.0, 20.0
 _RIVAL_WARM_UP, _RIVAL_CYCLE = 5.0, 14.0
 #: Ratio of the spectra with and without walk below which there is none.
 _NO_WALK = 2.0
-#: Logarithm of a variance that is zero.
+#: Logarithm of a zero variance.
 _ABSENT = -300.0
 #: Share of the best gain from which shapes with a cause are preferred to cycles.
 _CAUSED = 0.9
@@ -59,11 +57,10 @@ _TELLABLE = 65536
 #: Least gain, at the spectrum without the shape, for a fit; less for slow cycles and warm-ups, because this
 #: spectrum contains their power.
 _WORTH_A_FIT, _SMOOTH_WORTH_A_FIT = 15.0, 9.0
-#: Largest number of shapes to take out.
 _MAX_SHAPES = 8
 
 
-#: Returns a step's exact place from its approximate one, other steps' places and the least distance.
+#: From a step's approximate place, other steps' places and the least distance.
 ExactPlace = Callable[[float, Sequence[float], float], int]
 
 
@@ -132,7 +129,7 @@ def find_disturbances(
 def _taken_out(
     one: Disturbance, low: Sequence[Block], plain: Ordinates, names: tuple[str, ...]
 ) -> tuple[Disturbance, Fits]:
-    """Return a shape and the fit with it and the regressors `names`.
+    """Return a shape and the fit with it.
 
     The spectrum without a warm-up contains its power, so its time constant is searched again.
     """
@@ -216,7 +213,6 @@ def _rival(
 def _step(
     whitened: Whitened, apart: float, found: Sequence[Disturbance], exact: ExactPlace | None
 ) -> Iterator[Disturbance]:
-    """Yield the best step at least `apart` from the others, if it may be worth a fit."""
     taken = [one.value for one in found if one.kind == "step"]
     place, gain, choice = whitened.step(taken, apart)
     if gain <= _WORTH_A_FIT:
@@ -244,7 +240,7 @@ def best_cycle(whitened: Whitened, length: int, *, slow: bool = False) -> tuple[
     )
 
 
-#: Accuracy of the search for a step's place, as a share of the record.
+#: Accuracy of the search, as a share of the record.
 _COARSE = 1 / 1000
 
 
