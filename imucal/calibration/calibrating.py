@@ -51,7 +51,7 @@ from imucal.report.result import Report
 
 __all__ = ["calibrate"]
 
-#: At most this share of the rests is excluded as moved.
+#: Largest share of rests excluded as moved.
 _MAX_MOVED = 1 / 3
 
 

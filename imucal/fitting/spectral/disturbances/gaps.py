@@ -39,7 +39,7 @@ def complete(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return expected ordinates, their variances, the lost information, and a draw of the missing samples.
 
-    `samples`, shape (n,), are overwritten; only `seen` ones count. The results have the shapes (n-1,), (n-1,),
+    `samples`, shape (n,), are overwritten; only `seen` ones count. The results have the shapes (n-1,) twice,
     (b,) and (g,).
     """
     n = samples.size
