@@ -37,8 +37,7 @@ class NoiseModel:
         Raises
         ------
         ValueError
-            If the text is not a sum of terms with values, a unit does not belong to its term, or a term
-            other than GM is duplicated.
+            If the text is not a sum of terms with values, or a unit or a duplicate is wrong.
         """
         # Split at plus signs, except in exponents and parentheses.
         parts = re.split(r"(?<![\d.][eE])\+(?![^(]*\))", text)
@@ -87,8 +86,8 @@ class NoiseModel:
 def parse_structure(text: str) -> tuple[str, ...]:
     """Return the symbols of a text such as ``N + 2*GM + K``, in the order of `TERMS`.
 
-    Common abbreviations are accepted: ``ARW + BI + RRW`` is ``N + B + K``. An unknown term, or a duplicate of
-    a term other than GM, is a ValueError.
+    Common abbreviations are accepted. An unknown term, or a duplicate of a term other than GM, is a
+    ValueError.
     """
     symbols: list[str] = []
     for part in text.split("+"):
@@ -104,7 +103,7 @@ def parse_structure(text: str) -> tuple[str, ...]:
 
 
 def structure_text(symbols: Iterable[str]) -> str:
-    """Return a text such as ``N + 2*GM + K`` for the symbols."""
+    """Return a text such as ``N + 2*GM + K``."""
     ordered = tuple(symbols)
     counts = {symbol: ordered.count(symbol) for symbol in dict.fromkeys(ordered)}
     return " + ".join(symbol if count == 1 else f"{count}*{symbol}" for symbol, count in counts.items())
@@ -121,7 +120,6 @@ def _parse_term(part: str, sensor: Sensor) -> NoiseTerm:
 
 
 def _number(text: str, what: str, units: Mapping[str, float]) -> float:
-    """Return a number in SI from a text with or without a unit."""
     match = _VALUE.fullmatch(text)
     if match is None:
         raise ArgumentError(f"{text!r} is not a number; write a sum {_EXAMPLE}")
