@@ -58,7 +58,10 @@ def idct2(ordinates: FloatArray) -> FloatArray:
 
 
 def split(n: int) -> int:
-    """Return the divisor of `n` nearest to n^0.43, below the square root because access by column is strided."""
+    """Return the divisor of `n` nearest to n^0.43, used as the number of rows.
+
+    It is below the square root because access by column is strided.
+    """
     small = [divisor for divisor in range(1, math.isqrt(n) + 1) if n % divisor == 0]
     wanted = n**_SHARE
     return min((*small, n // small[-1]), key=lambda divisor: max(divisor / wanted, wanted / divisor))

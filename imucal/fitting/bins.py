@@ -66,7 +66,7 @@ class Bins(ReadOnlyArrays):
 PACKED_VERSION = 2
 #: Rounds of weighted least squares for the reference; bins averaged for a weight.
 _ROUNDS, _SMOOTH = 4, 9
-#: Versions of both formats; numbers of blocks, regressors, bins, bytes of names; scale, tau0, widening.
+#: Versions; numbers of blocks, regressors, bins, bytes of names; scale, tau0, widening.
 _HEAD = struct.Struct("<BBHHIIddd")
 
 

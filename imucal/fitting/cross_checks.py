@@ -59,7 +59,7 @@ def second_opinion(mle: NoiseFit, gmwm: NoiseFit) -> tuple[Finding, ...]:
 
 
 def _distance(mle: NoiseFit, gmwm: NoiseFit, first: Estimate, second: Estimate) -> float:
-    """Return how far apart two estimates are, in standard deviations; 0 if they can't be compared."""
+    """Return how far apart two estimates are, in standard deviations."""
     if first.value is None or second.value is None:
         apart = first.low > second.high or second.low > first.high
         return math.inf if apart else 0.0
@@ -161,14 +161,14 @@ def ambiguity_findings(result: NoiseFit, spectrum: Spectrum, axis: str) -> tuple
     used = np.arange(spectrum.frequency.size) >= _LOWEST
     used &= spectrum.frequency <= 0.5 / tau[0]
     density = result.model.psd(spectrum.frequency, rate_hz=result.rate_hz)
-    # A ramp has no density; leave out frequencies where its upper bound matters.
+    # A ramp has no density.
     tau0 = 1 / result.rate_hz
     slope = sum(term.coefficient * tau0 for term in result.model.terms if term.symbol == "R")
     sine = np.sin(np.pi * spectrum.frequency * tau0)
     used &= tau0 * slope**2 / (2 * result.curve.n * sine**4) < _TOLERANCE * density
     frequency, count = spectrum.frequency[used], spectrum.count[used]
     ratio = spectrum.psd[used] / density[used]
-    # Scores of chi-squared means over their expectation, after a tolerance.
+    # Scores of chi-squared means, after a tolerance.
     variance = 2 / (9 * count)
     within = np.clip(ratio, math.exp(-_TOLERANCE), math.exp(_TOLERANCE))
     score = (np.cbrt(ratio / within) - (1 - variance)) / np.sqrt(variance)

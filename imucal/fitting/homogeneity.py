@@ -2,7 +2,7 @@
 
 If the segments of a record differ by more than chance, the interval is widened by the Birge ratio
 sqrt(Q/dof), because users read it as a prediction of the next record. A misfit of the spectrum also widens
-it; the larger factor counts, because changing noise is one cause of a misfit.
+it; the larger factor counts.
 
 Noise may change faster than the segments show. If the mean squares of the samples' steps in neighbouring
 short windows differ less than in distant ones, the variance changes.
@@ -10,7 +10,7 @@ short windows differ less than in distant ones, the variance changes.
 Sources: Cochran (1954), Biometrics 10, 101 (Q); Birge (1932), Physical Review 40, 207 (the ratio);
 DerSimonian & Laird (1986), Controlled Clinical Trials 7, 177 (the spread between segments); Bartlett (1937),
 Proc. R. Soc. A 160, 268, eq. (16) ff. (small samples); von Neumann (1941), Annals of Mathematical Statistics
-12, 367 (the ratio of the mean square successive difference to the variance).
+12, 367.
 """
 
 import math
@@ -33,7 +33,7 @@ _PART = 1 << 16
 _SCORE = 5.0
 #: Least relative standard deviation that is reported.
 _NOTABLE_CHANGE = 0.1
-#: Share of the variance in one period that makes a change periodic.
+#: Share of the variance that makes a change periodic.
 _PERIODIC = 0.5
 #: Ratio of lower limit to value below which a slow term's interval is widened linearly, not in logarithms.
 _NARROW = 0.8
@@ -167,8 +167,8 @@ def cochran_q(logs: FloatArray, weight: FloatArray) -> float:
 def bartlett_correction(information: FloatArray) -> float:
     """Return the mean of the likelihood ratio's test of equal variances, divided by its degrees of freedom.
 
-    `information`, shape (s,), on the log of each variance is half its degrees of freedom. At least one is
-    assumed, because the correction is an expansion.
+    `information`, shape (s,), on the log of each variance is half its degrees of freedom; at least one is
+    assumed.
     """
     freedom = np.maximum(2 * information, 1.0)
     part = float(np.sum(1 / freedom)) - 1 / float(freedom.sum())
@@ -269,7 +269,7 @@ def _wider(estimate: Estimate, factor: float) -> Estimate:
 
 
 def _stretched(value: float, end: float, factor: float) -> float:
-    """Return a limit `factor` times as far from its value in logarithms; infinite on overflow."""
+    """Return a limit `factor` times as far from its value in logarithms."""
     with np.errstate(over="ignore"):
         return float(value * np.power(np.float64(end / value), factor))
 

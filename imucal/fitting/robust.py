@@ -26,7 +26,7 @@ _MIN_SPIKE = 5.0
 _FALSE_ALARMS = 0.01
 #: Standard deviation of Gaussian noise, over its median absolute deviation.
 _DEVIATION = 1.4826
-#: Distance, in standard deviations, at which the heaviness of the tails is measured.
+#: Distance, in standard deviations, that shows heavy tails.
 _BODY = 3.0
 #: Degrees of freedom of a Student's t that is practically Gaussian.
 _GAUSSIAN = 1e4
@@ -77,9 +77,8 @@ def find_spikes(samples: FloatArray) -> tuple[BoolArray, FloatArray, float]:
     """Return which samples are spikes, shape (n,), the baseline, and the standard deviation about it.
 
     If there are clearly no spikes, baseline and deviation are `samples` and 0. The baseline joins the medians
-    of blocks by straight lines. A spike is more than 5 standard deviations (1.4826 median absolute
-    deviations) from it, farther than nearly all Gaussian records of this length reach, and beyond the end
-    of the noise's own tail.
+    of blocks by straight lines. A spike is farther from it than nearly all Gaussian records of this length
+    reach, and beyond the noise's own tail.
 
     Source: Hampel (1974), JASA 69, 383 (median and median absolute deviation).
     """
@@ -100,7 +99,7 @@ def find_spikes(samples: FloatArray) -> tuple[BoolArray, FloatArray, float]:
         return np.zeros(samples.size, dtype=bool), baseline, 0.0
     spike = distance > reach * deviation
     if spike.any():
-        # Coarse steps round the median deviation to a step, but not the root mean square.
+        # Coarse steps round the median deviation, not the root mean square.
         spread = float(np.sqrt(np.mean(np.square(distance[~spike]))))
         wide = max(deviation, spread)
         spike = distance > _end_of_tail(distance / deviation, reach * wide / deviation) * deviation
@@ -206,7 +205,7 @@ def _baseline_parts(samples: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
 
 
 def _medians(samples: FloatArray, block: int) -> FloatArray:
-    """Return the medians of whole blocks; NumPy's median, which checks for NaN, takes four times as long."""
+    """Return the medians of whole blocks; NumPy's median takes four times as long."""
     count, half = samples.size // block, block // 2
     medians = np.empty(count)
     for first in range(0, count, _BLOCKS):
@@ -218,7 +217,6 @@ def _medians(samples: FloatArray, block: int) -> FloatArray:
 
 
 def _tail_finding(series: AxisSeries, factor: float) -> tuple[Finding, ...]:
-    """Return a warning if outliers in the noise make N uncertain."""
     if factor < _UNCERTAIN:
         return ()
     text = (
@@ -233,7 +231,7 @@ def heavy_tails(samples: FloatArray, neighbours: BoolArray | None = None) -> flo
     """Return the factor by which heavy tails widen N's interval, at least 1.
 
     The variance of the logarithm of white noise's mean square is (2 + k)/n with its excess kurtosis k; the
-    excess kurtosis of its steps is k/2. Only steps between `neighbours` count, shape (n-1,); all by default.
+    excess kurtosis of its steps is k/2.
     """
     if samples.size < 2:
         return 1.0

@@ -2,10 +2,7 @@
 
 In the basis of the likelihood, the DCT-II, the terms of a model are independent at each ordinate, with
 variances S_c that add up to S. The mean of a component given all samples is S_c / S times the ordinate, and
-the variance of its error is S_c - S_c² / S. This is as accurate as the likelihood.
-
-Missing samples are replaced by their mean given the others. If they are many, conjugate gradients give the
-mean and random draws of the errors.
+the variance of its error is S_c - S_c² / S. Missing samples are replaced by their mean given the others.
 
 Source: Wiener (1949), "Extrapolation, interpolation, and smoothing of stationary time series"; draws:
 Papandreou & Yuille (2010), NIPS 23.
@@ -114,7 +111,6 @@ class _Law:
         return cls(weight=weight, ramp=ramp, slope=slope, slope_variance=variance)
 
     def weigh(self, samples: FloatArray) -> FloatArray:
-        """Return the precision matrix of the samples times `samples`."""
         ordinates = dct2(samples)
         if self.slope_variance:
             ordinates -= (self.slope @ ordinates) * self.ramp
@@ -128,7 +124,7 @@ class _Law:
 
 @frozen_alone
 class _Filter:
-    """One component: its `gain` at each ordinate, and its `variance` at each sample, shape (n,) each."""
+    """One component: its `gain` at each ordinate, and its `variance` at each sample."""
 
     gain: FloatArray
     variance: FloatArray
@@ -186,7 +182,7 @@ def _spectrum(term: NoiseTerm, n: int, tau0: float) -> FloatArray:
     """Return the variances of the ordinates 0 … n-1 of a term.
 
     Ordinate 0 of a walk is its level, with a flat prior: it is 0 here. `_Unknown` adds the part of
-    quantization noise in the first and last sample.
+    quantization noise at both ends.
     """
     first = np.arange(1, n, dtype=np.int64)
     if isinstance(term, Quantization):

@@ -224,6 +224,7 @@ def _of_spectra(
 
 
 def covered_frequencies(horizon_s: float, step_s: float, *, lowest: float = _LOWEST) -> FloatArray:
+    """Return the frequencies to cover, in Hz."""
     return np.geomspace(lowest / horizon_s, 0.5 / step_s, _FREQUENCIES)
 
 

@@ -1,10 +1,8 @@
 """The points of an Allan curve that a fit uses, and their covariance in closed form.
 
-Variances are relative to a typical Allan variance, and times to the sampling period, so that results do not
-depend on the unit of the samples.
-
-An Allan variance is a mean of squares of d_t, the second differences of the summed signal. For Gaussian noise
-the covariance follows from each term's V(n), the generalised variance of a sum of n samples:
+Variances are relative to a typical Allan variance, and times to the sampling period. An Allan variance is a
+mean of squares of d_t, the second differences of the summed signal. For Gaussian noise the covariance follows
+from each term's V(n), the generalised variance of a sum of n samples:
 
     cov(d_t at m_i, d_{t+k} at m_j) = -1/(4 m_i m_j) sum_ab c_a c_b V(|k + b m_j - a m_i|),
     cov(avar_i, avar_j) = 2/(M_i M_j) sum_k n_ij(k) s_ij(k)^2,        c = (1, -2, 1).
@@ -68,8 +66,8 @@ class AvarCovariance(ReadOnlyArrays):
 def avar_covariance(m: IntArray, n: int, terms: Sequence[NoiseTerm], *, overlapping: bool) -> AvarCovariance:
     """Return the covariance of the Allan variances of `n` samples at averaging factors `m`, shape (k,).
 
-    Factors outside 1 … n // 2 raise a ValueError. `terms` have unit variances, and times in samples. Lags are
-    summed on a grid that is dense near the kinks of the covariance, with a relative error below 1e-3.
+    Factors outside 1 … n // 2 raise a ValueError. `terms` have unit variances, and times in samples. The
+    relative error is below 1e-3.
     """
     if m.size and not (m.min() >= 1 and m.max() <= n // 2):
         raise ValueError(f"averaging factors must be in 1..{n // 2} for {n} samples")
@@ -95,7 +93,7 @@ def _computed(
                 row[:] = covariances[term] if term in covariances else _lag_covariance(lags, mi, mj, term)
             weighted = covariance * weight
             quadratic[..., i, j] = quadratic[..., j, i] = 2 * weighted @ covariance.T
-            # A ramp gives d_t at m the mean w m / sqrt(2). Negative sums of covariances are rounding errors.
+            # A ramp gives d_t at m the mean w m / sqrt(2). Negative sums are rounding errors.
             drift[..., i, j] = 2 * mi * mj * np.maximum(weighted.sum(axis=1), 0.0)
             drift[..., j, i] = drift[..., i, j]
     return AvarCovariance(ramp=ramp, quadratic=quadratic, drift=drift)
@@ -126,7 +124,7 @@ def _lag_products(
 
 
 def _reach(longest: int, terms: Sequence[NoiseTerm]) -> int:
-    """Return the largest lag, which grows by powers of two, so that few different grids are cached."""
+    """Return the largest lag; powers of two, so that few different grids are cached."""
     reach = _FLICKER_REACH * longest
     for time in (time for term in terms for time in term.values[1:]):
         while reach < 2 * longest + _TIMES_REACH * time:
@@ -155,7 +153,6 @@ def _lag_covariance(lags: IntArray, mi: int, mj: int, term: NoiseTerm) -> FloatA
     if isinstance(term, GaussMarkov):
         meet = apart < 0
     elif isinstance(term, PowerLawTerm) and term.law is not PowerLaw.FLICKER:
-        # Adjacent windows may share a value.
         meet = apart <= 0
     covariance = np.zeros(lags.size)
     distance = np.abs(shifts[:, np.newaxis] + lags[meet].astype(np.float64))
@@ -177,8 +174,8 @@ class AvarPoints:
     """Allan variances to fit, at increasing averaging factors `m`; arrays have the shape (k,).
 
     `avar` are the variances divided by `scale`, in U², and `used` their indices in the curve. `n` is the
-    number of samples; if unknown, the smallest that allows the longest averaging time. `tau0` is in s.
-    `excess` is the excess kurtosis of the white part of the samples, 0 if unknown.
+    number of samples; if unknown, the smallest that allows the longest averaging time. `excess` is the excess
+    kurtosis of the white part of the samples, 0 if unknown.
     """
 
     m: IntArray
@@ -249,13 +246,13 @@ def is_timed(symbol: str) -> bool:
 
 
 def unit_terms(symbols: Sequence[str], times: Iterable[float] = ()) -> tuple[NoiseTerm, ...]:
-    """Return terms of unit variance per sample; `times` of those that have one are in samples."""
+    """Return terms of unit variance per sample; `times` are in samples."""
     given = iter(times)
     return tuple(TERMS[s].of(1.0, float(next(given))) if is_timed(s) else TERMS[s].of(1.0) for s in symbols)
 
 
 def columns(m: IntArray, terms: Sequence[NoiseTerm]) -> FloatArray:
-    """Return the Allan variances of terms with times in samples at averaging factors `m`, shape (k, p)."""
+    """Return the Allan variances of terms at averaging factors `m`, shape (k, p)."""
     factors = m.astype(np.float64)
     parts = [term.avar(factors, 1.0) for term in terms]
     return np.stack(parts, axis=1) if parts else np.empty((m.size, 0))
@@ -284,6 +281,6 @@ def _excess_kurtosis(series: AxisSeries) -> float:
     if steps < 100:
         return 0.0
     excess = excess_kurtosis(series.samples)
-    # Neighbouring differences share a sample, so their squares have a correlation of 1/4.
+    # Squares of neighbouring differences have a correlation of 1/4.
     deviation = np.sqrt(24 / steps * 1.5)
     return max(2 * excess, LIGHTEST) if abs(excess) > 4 * deviation else 0.0

@@ -46,9 +46,10 @@ _UPDATES = 5
 
 
 def whitening(covariance: FloatArray) -> FloatArray:
-    """Return W, shape (k, k), whose product W'W is the inverse of a covariance; none raises a DataError.
+    """Return W, shape (k, k), whose product W'W is the inverse of a covariance.
 
-    Adding 1e-6 of each variance keeps the factorisation stable: the covariance has a relative error of 1e-3.
+    Adding 1e-6 of each variance keeps the factorisation stable. A covariance without an inverse raises a
+    DataError.
     """
     variance = np.diag(covariance)
     if not (np.all(np.isfinite(covariance)) and variance.min() > 0):
@@ -123,8 +124,7 @@ def minimum(
 ) -> Solution:
     """Return the minimum over the variances and times of terms.
 
-    `weight` is the W of `whitening`. Times are searched from `near`, or on a grid. `tolerance` is the
-    relative change of the sum of squares at the end.
+    `weight` is the W of `whitening`. Times are searched from `near`, or on a grid.
     """
     symbols = in_order(symbols)
     target = weight @ points.avar
@@ -204,8 +204,8 @@ class CurveFit:
 def best_fit(points: AvarPoints, eta3: FloatArray, settings: FitSettings) -> CurveFit:
     """Return the chosen or given model at its minimum, with the weight of the model itself.
 
-    The search compares models with the weight of the largest one. A chosen model that lacks a small term can
-    have a misfit with its own weight; then the previous, larger model is taken.
+    The search uses the weight of the largest model. If the chosen model has a misfit with its own weight, the
+    previous, larger one is taken.
     """
     full = settings.weights == "full"
     if settings.structure is not None:
@@ -245,7 +245,6 @@ def _smaller(
         fewer = {current.symbols[:i] + current.symbols[i + 1 :] for i in range(len(current.terms))}
         tried = []
         for own in sorted(fewer):
-            # If the removed term has a time, search the other times again.
             near = current.times if sum(map(is_timed, own)) == current.times.size else None
             tried.append(minimum(points, weight, own, near=near, tolerance=ROUGH))
         tried.sort(key=lambda s: s.objective + price * s.parameters)
@@ -267,8 +266,8 @@ def _converged(points: AvarPoints, found: Solution, weight: FloatArray, *, full:
 def best_band(points: AvarPoints, eta3: FloatArray, settings: FitSettings) -> tuple[AvarPoints, CurveFit]:
     """Return the longest run of points, up to the last, that a model describes, and the fit.
 
-    An output filter bends the curve at its first averaging times only. If no run is described, take the one
-    with the least misfit, if it is far better than the whole curve.
+    An output filter bends the curve at its first averaging times only. If no run is described, the one with
+    the least misfit is taken if it is far better than the whole curve.
     """
     whole = best_fit(points, eta3, settings)
     if settings.weights == "eta3" or not whole.misfit >= _FILTERED:
@@ -302,7 +301,7 @@ def goodness(points: AvarPoints, solution: Solution, covariance: FloatArray) -> 
     correlation = covariance / np.outer(deviation, deviation)
     misfit = float(score @ np.linalg.solve(correlation, score))
     p_value = float(scipy.special.chdtrc(freedom, misfit))
-    # Beyond the range of a normal quantile, continue with Wilson and Hilferty's approximation.
+    # Beyond the range of a normal quantile, use Wilson and Hilferty's approximation.
     spread = 2 / (9 * freedom)
     statistic = (
         float(-scipy.special.ndtri(p_value))
@@ -315,8 +314,7 @@ def goodness(points: AvarPoints, solution: Solution, covariance: FloatArray) -> 
 def limits(value: float, spread_at: Callable[[float], float], quantile: float) -> tuple[float, float]:
     """Return the interval of a variance, estimated as `value`; its lower limit is 0 if 0 is inside.
 
-    `spread_at` returns the standard error if its argument were the true variance; `quantile` is of
-    chi-squared with one degree of freedom.
+    `spread_at` returns the standard error if its argument were the true variance.
     """
     own = spread_at(value)
 
@@ -364,7 +362,7 @@ def influence(points: AvarPoints, solution: Solution, weight: FloatArray, *, fre
     design = weight @ np.hstack([columns(points.m, solution.terms) * used, slopes * timed])
     length = np.sqrt(np.einsum("ij,ij->j", design, design))
     length[length == 0] = 1.0
-    # The solution of minimal norm: terms that the curve can't distinguish get wide limits, not an error.
+    # Terms that the curve can't distinguish get wide limits, not an error.
     return np.asarray(np.linalg.pinv(design / length, rcond=1e-12) @ weight / length[:, np.newaxis])
 
 
@@ -407,7 +405,6 @@ def curve_estimates(
 def _estimate(
     points: AvarPoints, key: str, term: NoiseTerm, variances: tuple[float, float, float], factor: float
 ) -> Estimate:
-    """Return the estimate of a term in SI; a time is known to a `factor`."""
     value, low, high = (points.coefficient(term.symbol, variance) for variance in variances)
     if not low > 0:
         return Estimate.bounded(key, term.symbol, high)

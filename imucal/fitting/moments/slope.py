@@ -55,7 +55,7 @@ class LogCurve:
         return self.covariance[np.ix_(places, places)]
 
     def shape(self, symbol: str) -> FloatArray:
-        """Return the Allan variance of a term of unit variance at the points, shape (k,)."""
+        """Return the Allan variance of a term of unit variance at the points."""
         return np.asarray(columns(self.points.m, unit_terms([symbol]))[:, 0])
 
 
@@ -77,7 +77,6 @@ class Reading:
 
     @property
     def variance(self) -> float:
-        """Square of the coefficient, as a variance per sample."""
         return float(np.exp(2 * self.log_value))
 
 
@@ -107,7 +106,7 @@ def read_term(
 
 
 def _line(curve: LogCurve, slope: float) -> IntArray:
-    """Return the longest run of points on a line of that slope; of equally long ones, the most precise."""
+    """Return the longest run of points on a line of that slope, or the most precise of several."""
     x, y = np.log(curve.points.m.astype(np.float64)), np.log(curve.points.avar) / 2
     variance, width = curve.variance, np.diff(x)
     steps = np.diff(y) / width
@@ -153,9 +152,9 @@ def fit_slope(
 ) -> NoiseFit:
     """Read terms from the slopes of overlapping or standard Allan variances; `series` may be None.
 
-    A term without its slope, or one that the others explain, is bounded by the curve. `windows` maps symbols
-    to the first and last averaging time in s of their lines; a window without points raises a ValueError. A
-    curve with fewer than 2 averaging times, or not of Allan variances, raises a DataError.
+    A term that the others explain is bounded by the curve. `windows` maps symbols to the first and last
+    averaging time in s of their lines; a window without points raises a ValueError. A curve with fewer than 2
+    averaging times, or not of Allan variances, raises a DataError.
     """
     structure, level = settings.structure, settings.level
     points = avar_points(series, curve)

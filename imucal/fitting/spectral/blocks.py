@@ -55,7 +55,7 @@ class Block:
     drawn: FloatArray | None = None
 
     def regressor_parts(self, name: str) -> Callable[[slice], FloatArray]:
-        """Return a function for parts of a regressor's ordinates; a ramp is never stored as a whole."""
+        """Return a function for parts of a regressor's ordinates; a ramp is never stored whole."""
         if name == "R":
             return lambda part: ramp_ordinates(self.bins.n, part.stop - part.start, first=part.start + 1)
         return self.regressor(name).__getitem__
@@ -78,9 +78,9 @@ class Block:
 
 @frozen_alone
 class SeriesBlocks:
-    """All blocks of a record, in order of time; `scale` is U per scaled unit, a power of two.
+    """All blocks of a record, in order of time; `scale` is U per scaled unit.
 
-    `lines` are the spectral lines left out of the longest block.
+    `lines` were left out of the longest block.
     """
 
     blocks: tuple[Block, ...]
@@ -282,8 +282,7 @@ def _binned(block: Block, scale: float, names: tuple[str, ...]) -> Ordinates:
     # Add the transform's rounding error, so that no power is zero.
     power += _ROUNDING * whole / block.ordinates.size * size
     if block.loss is not None:
-        # A single bin scatters as if it had 1 - loss of its ordinates, an octave, over which noise terms
-        # extend, as if it had the square: missing samples mix the powers of all frequencies.
+        # A single bin scatters as if it had 1 - loss of its ordinates, an octave as if it had the square.
         keep = np.square(1 - block.loss)
         size, power, cross, gram = size * keep, power * keep, cross * keep, gram * keep
     return Ordinates(
@@ -319,7 +318,7 @@ def ordinates_of(bins: Bins) -> Ordinates:
 def joined(records: Sequence[Ordinates]) -> Ordinates:
     """Return the ordinates of several records as if of one record: their likelihoods multiply.
 
-    They share the ramp. Other regressors belong to one record, such as ``2:step@1000`` of the third.
+    Regressors other than the ramp belong to one record, such as ``2:step@1000`` of the third.
     """
     names = ("R", *(f"{i}:{name}" for i, one in enumerate(records) for name in one.names[1:]))
     parts, first = [], 1

@@ -29,7 +29,7 @@ def estimate_or_bound(problem: Problem, choice: RankedModels) -> tuple[Fits, tup
     """Return the best candidate, and estimates or bounds of its terms.
 
     A term whose interval contains zero is bounded and left out of the model. The other terms keep their
-    values and intervals from the fit with it, since it may exist.
+    intervals from the fit with it, since it may exist.
     """
     fitted = choice.fits[[0]]
     bounded: dict[str, Estimate] = {}
@@ -75,7 +75,7 @@ def _can_not_stay(problem: Problem, fitted: Fits, estimates: tuple[Estimate, ...
 def numbered(
     estimates: tuple[Estimate, ...], names: tuple[str, ...]
 ) -> tuple[tuple[Estimate, ...], tuple[str, ...]]:
-    """Return estimates and parameter names, with numbered keys if there are several terms of one kind."""
+    """Return estimates and parameter names, with numbered keys for several terms of one kind."""
     every = ordered(estimates)
     keys = term_keys(e.symbol for e in every)
     new = {e.key: key for e, key in zip(every, keys, strict=True)}
@@ -101,7 +101,7 @@ def add_term(problem: Problem, fitted: Fits, symbol: str) -> Fits:
 
 
 def completed(problem: Problem, fitted: Fits) -> Fits:
-    """Return the fit with the terms that every fit reports, at zero if the data prefer that."""
+    """Return the fit with the terms that every fit reports."""
     for symbol in fitted.missing:
         fitted = add_term(problem, fitted, symbol)
     return fitted
@@ -212,8 +212,7 @@ def _time_of(found: Estimate) -> float:
 def _walk(slow: Estimate, high: float, reach: float, model: Fits) -> Estimate:
     """Return the walk sigma sqrt(2/T) of a slow Gauss-Markov term, valid up to the lower limit of T.
 
-    Its limits are `reach` standard errors of half the difference of log sigma² and log T: the walk is certain
-    even if these two are not.
+    Its limits are `reach` standard errors of half of log(sigma²/T).
     """
     columns = dict(model.columns())
     sigma, time = (columns[name] for name in GaussMarkov.parameter_names(slow.key))
@@ -255,7 +254,7 @@ def _richer(
 
 
 def _span(key: str, values: dict[str, Estimate], models: list[Alternative]) -> list[tuple[float, Estimate]]:
-    """Return the weight and estimate of a term in each model; beyond N, B and K only in similar models."""
+    """Return the weight and estimate of a term in each model, or in similar models only."""
     if key in ALWAYS:
         return [(model.weight, model.terms[key]) for model in models]
     others = values.keys() - set(ALWAYS)

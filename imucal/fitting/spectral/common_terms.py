@@ -69,7 +69,7 @@ class Parts:
         )
 
     def fit(self, *, common: bool) -> "Scales":
-        """Maximise the likelihood, from scales of 1; if `common`, all groups share the tested scale."""
+        """Maximise the likelihood; if `common`, all groups share the tested scale."""
         tests, count, _ = self.varied.shape
         best = self.at(np.zeros((tests, self.first.size, count)))
         damping = np.full(best.objective.shape, 1e-3)
@@ -96,8 +96,8 @@ class Parts:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return a weighted sum of the two scales of one test in each group, and its limits, shape (g,) each.
 
-        The limits are the extremes over all scales at which twice the drop of the log-likelihood from its
-        maximum at `logs`, shape (g, 2), is below `reach`²: an expansion is wrong if one scale is near zero.
+        The limits are the extremes over all scales at which twice the drop of the log-likelihood is below
+        `reach`²: an expansion is wrong if one scale is near zero.
         """
         best = self.at(logs[np.newaxis])
         tested, others = np.moveaxis(best.logs[0], -1, 0)
@@ -156,7 +156,7 @@ class Scales:
 
     @property
     def information(self) -> FloatArray:
-        """Information on the log of the tested scale if the other scales are unknown, shape (t, g)."""
+        """Information on the log of the tested scale, shape (t, g)."""
         return self._eliminated(np.zeros(self.objective.shape))[1]
 
     def _eliminated(self, damping: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -183,7 +183,7 @@ class Scales:
 
 
 def visible(spectra: FloatArray, absent: list[int]) -> FloatArray:
-    """Return factors, shape (p,), that make `absent` spectra, shape (p, b), a visible share of the sum."""
+    """Return factors, shape (p,), that make `absent` spectra a visible share of the sum."""
     factor = np.ones(len(spectra))
     whole = np.delete(spectra, absent, axis=0).sum(axis=0)
     factor[absent] = _SHARE / np.max(spectra[absent] / whole, axis=1, initial=1e-300)

@@ -53,8 +53,8 @@ def profile_limits(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the lower and upper limits of parameter `columns[i]` of fit i, shape (k,) each.
 
-    Limits are in log units, except for the ramp (column `RAMP`). The lower limit is -inf if the parameter may
-    vanish, the upper inf if it may exceed its bound. `reach` is the root of twice the drop at the limits.
+    Limits are in log units, except for the ramp (column `RAMP`), and infinite if there is none. `reach` is
+    the root of twice the drop at the limits.
     """
     both = np.concatenate([np.arange(columns.size)] * 2)
     toward = np.repeat([-1.0, 1.0], columns.size)
@@ -65,8 +65,8 @@ def profile_limits(
 class _ProfileSearch:
     """The root of z(u) = ± quantile for many parameters at once.
 
-    z is the signed root of twice the drop; it is almost linear in u, which is the deviation for a variance,
-    the logarithm for a time, and the slope itself for a ramp.
+    z, the signed root of twice the drop, is almost linear in u: the deviation for a variance, the logarithm
+    for a time, and the slope for a ramp.
     """
 
     def __init__(self, ordinates: Ordinates, fits: Fits, columns: IntArray) -> None:
@@ -142,7 +142,7 @@ class _ProfileSearch:
         return np.where(self.variance[rows], 2 * np.log(np.maximum(u, 1e-200)), u)
 
     def drop(self, rows: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the root of twice the drop of the log-likelihood at fixed `u`, and the parameters there."""
+        """Return the root of twice the drop at fixed `u`, and the parameters there."""
         start = self.theta[rows].copy()
         plain = ~self.ramp[rows]
         held = np.flatnonzero(plain)
@@ -227,7 +227,7 @@ def _term(problem: Problem, key: str, symbol: str, table: dict[str, tuple[float,
 def covariance_of(
     problem: Problem, fitted: Fits, estimates: tuple[Estimate, ...]
 ) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the names of the parameters and their covariance in SI, from the expected information."""
+    """Return the names of the parameters and their covariance in SI."""
     slopes = {name: own for e in estimates if e.value is not None for name, own in e.slopes().items()}
     columns = {name: at for name, at in fitted.columns() if name in slopes}
     names, places = list(columns), list(columns.values())

@@ -1,14 +1,12 @@
 """Fit of a given model to stored bins of one record or of several jointly.
 
 A likelihood ratio tests whether records of one sensor have the same coefficient (Wilks 1938, Annals of
-Mathematical Statistics 9, 60). The other terms are free in each record, so that a change of one term is not
-attributed to another.
+Mathematical Statistics 9, 60). The other terms are free in each record.
 
 Squared coefficients may be negative: positive estimates of an absent term are too large on average. The
 weights come from a spectrum with each weak term at one standard deviation (McCullagh & Nelder 1989,
-Generalized Linear Models, 2nd ed., section 2.5), because weights that follow low ordinates give a bias. The
-standard deviation is a function of the coefficient: deviations at the logs' own estimates would favour low
-estimates.
+Generalized Linear Models, 2nd ed., section 2.5). The standard deviation is a function of the coefficient:
+deviations at the logs' own estimates would favour low estimates.
 """
 
 import math
@@ -42,9 +40,8 @@ from imucal.noise.model import NoiseModel
 class BinFit:
     """A model fitted to the bins of some records, up to the end of the band, in one scale.
 
-    `problem` joins all records. `whole` is the fit of the given terms and of N, B and K. `model` and
-    `estimates` are without and with bounded terms. `misfits` maps symbols to the factors by which a misfit
-    widens their limits.
+    `problem` joins all records. `whole` is the fit of the given terms and of N, B and K. `misfits` maps
+    symbols to the factors by which a misfit widens their limits.
     """
 
     records: tuple[Ordinates, ...]
@@ -68,7 +65,7 @@ def fit_bins(
     every = joined(parts) if len(parts) > 1 else parts[0]
     band = _band(every, parts, structure, near)
     seen = band.select(every)
-    # Half the excess kurtosis plus one, averaged over the records by their ordinates.
+    # Half the excess kurtosis plus one.
     surplus = np.average([one.widening**2 for one in bins], weights=[one.size.sum() for one in bins])
     problem = Problem(
         ordinates=seen,
@@ -165,7 +162,7 @@ def record_tests(fit: BinFit) -> tuple[RecordTest, ...]:
 
 
 def _parts(fit: BinFit, columns: list[int]) -> tuple[Parts, FloatArray]:
-    """Return the parts of each term's test, with all other terms free, and the logs of their variances."""
+    """Return the parts of each term's test, and the logs of their variances."""
     models, theta = fit.whole.models, fit.whole.theta
     joint, count = Ordinates.joined(fit.records), len(fit.records)
     owner = np.repeat(np.arange(count), [one.size.size for one in fit.records])
@@ -216,7 +213,7 @@ class SquaredCoefficient:
 def squared_coefficients(found: BinFit) -> dict[str, SquaredCoefficient]:
     """Return the squared coefficient of each term of a fit except the ramp, by its key.
 
-    Correlation times and response keep the fit's values; the deviations include their errors.
+    The deviations include the errors of correlation times and response.
     """
     problem, fitted = found.problem, found.whole
     ordinates, models = problem.ordinates, fitted.models
@@ -267,8 +264,7 @@ def _deviation_laws(
 ) -> list[tuple[float, float]]:
     """Return deviation at zero and growth of each of the estimates `variance`, shape (t,).
 
-    One term has a chosen value and the others their most likely values given it, because the estimates are
-    correlated.
+    One term has a chosen value and the others their most likely values given it.
     """
     count = variance.size
     weight = 0.5 * size / spectrum**2

@@ -36,10 +36,10 @@ _NONE = 1e-8
 class Fits:
     """The likelihood of each of c models at one row of parameters, usually its maximum.
 
-    At `theta`, shape (c, p), `objective` is -log L less a constant, infinite if the response is not
-    positive; `score` is its gradient, and `information` the expected Fisher information, shape (c, p, p).
-    `beta`, shape (c, r), are the regressors' coefficients, and `beta_covariance` their covariance given the
-    `spectrum` S, shape (c, b). `structure`, `missing` and `covariance` refer to the first row.
+    At `theta`, shape (c, p), `objective` is -log L less a constant, infinite if the response is not positive;
+    `score` is its gradient, and `information`, shape (c, p, p), the expected one. `beta`, shape (c, r), are
+    the regressors' coefficients, and `beta_covariance` their covariance given the `spectrum` S, shape (c, b).
+    Properties refer to the first row.
     """
 
     models: Models
@@ -60,7 +60,6 @@ class Fits:
 
     @property
     def missing(self) -> list[str]:
-        """Terms that every fit reports and this model lacks."""
         return [symbol for symbol in ALWAYS if symbol not in self.structure]
 
     @property

@@ -5,8 +5,7 @@ updates minimise the Itakura-Saito divergence, the negative log-likelihood. Fish
 Levenberg and Marquardt, starts at the best mixtures.
 
 Source: Févotte & Idier (2011), Neural Computation 23, "Algorithms for NMF with the beta-divergence" (the
-majorisation-minimisation update, exponent 1/2, and the majorisation-equalisation update, exponent 1, which
-needs half as many rounds).
+majorisation-minimisation update, exponent 1/2, and the majorisation-equalisation update, exponent 1).
 """
 
 from dataclasses import fields
@@ -37,17 +36,14 @@ _JOIN = 8.0
 
 
 def given_up(value: FloatArray, gain: FloatArray, steps: int) -> BoolArray:
-    """Return the mask of the models that are far behind the best and do not catch up, shape (c,)."""
+    """Return the mask of the models that are far behind the best and do not catch up."""
     most = [behind for first, behind in _BEHIND.items() if steps >= first]
     behind = value - np.min(value)
     return np.asarray((behind > (most[-1] if most else np.inf)) & (gain < _CATCHING_UP * behind))
 
 
 def bounds(ordinates: Ordinates, models: Models) -> tuple[FloatArray, FloatArray]:
-    """Return the lower and upper bounds of each parameter, shape (p,) each.
-
-    At the lower bound of its variance a term is invisible in every bin.
-    """
+    """Return the lower and upper bounds of each parameter, shape (p,) each."""
     times = slice(models.variances, models.response)
     eighths = np.arange(0, ordinates.size.size, 8)
     power = np.add.reduceat(ordinates.power, eighths) + 1e-300
@@ -150,14 +146,14 @@ def misfit_factors(ordinates: Ordinates, found: Fits) -> FloatArray:
     """Return the factor by which a misfit widens the error of each variance parameter, shape (s,).
 
     It is the root of the mean squared residual, weighted by the parameter's information (Huber 1967, Proc.
-    5th Berkeley Symposium 1, 221). An absent power law gets the information that it would have.
+    5th Berkeley Symposium 1, 221).
     """
     first, _, residual = _residuals(ordinates, found)
     parts = derivatives(ordinates, found.models, found.theta)[: found.models.variances]
     laws = ordinates.basis.shape[0]
     absent = np.flatnonzero(np.max(parts[:laws], axis=1) <= 0)
     parts[absent] = ordinates.basis[absent]
-    # Scale the maximum to one, so that small squares do not underflow.
+    # Scale, so that small squares do not underflow.
     share = parts / found.spectrum[0]
     share /= np.maximum(share.max(axis=1, keepdims=True), 1e-300)
     weight = np.add.reduceat(share**2 * ordinates.size, first, axis=1)
@@ -201,8 +197,8 @@ def find_starts(
 ) -> tuple[IntArray, FloatArray]:
     """Return the best starts of each model: `keep` of them for 0, 1, 2 terms other than power laws.
 
-    The results are the model of each start, shape (s,), and its parameters, shape (s, p). `quick` selects
-    mixtures early. With a `response`, mixtures describe the noise before the filter.
+    The results are the model of each start, shape (s,), and its parameters, shape (s, p). With a `response`,
+    mixtures describe the noise before the filter.
     """
     times = time_grid(ordinates, models.shortest)
     plans = [_plan(tuple(row), models.slots[SHAPED:]) for row in models.has[:, SHAPED:].tolist()]

@@ -210,7 +210,7 @@ def _noise_share(view: View, fitted: Fits, curve: AllanCurve, rate_hz: float) ->
 
 
 def _spectra(whole: Ordinates, fitted: Fits, band: Band) -> tuple[FloatArray, FloatArray]:
-    """Return the model's spectrum and the spectrum of the curve in every bin, shape (b,) each."""
+    """Return the model's spectrum and the spectrum of the curve in every bin."""
     model = fitted.unfiltered(whole)
     inside = band.holds(whole)
     part = replace(whole[inside], top=band_top(band.fraction))
@@ -251,7 +251,7 @@ def _structures(structure: Structure | None, max_gm: int, *, white: bool) -> lis
 
 
 def _used(curve: AllanCurve, band: Band, corner: float) -> IntArray:
-    """Return the points of the curve at times longer than the periods of the filter and of excluded bins."""
+    """Return the points of the curve at times longer than the periods of the filter."""
     return np.flatnonzero(curve.m * min(band.fraction, corner) >= 1 - 1e-9)
 
 

@@ -71,7 +71,6 @@ class Models:
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Symbols of the terms that are not power laws, each once."""
         return tuple(dict.fromkeys(self.slots[SHAPED:]))
 
     @property
@@ -83,7 +82,7 @@ class Models:
 
     @property
     def parameters(self) -> IntArray:
-        """Number of parameters of each model, regressors included, shape (c,)."""
+        """Number of parameters of each model, regressors included."""
         return np.asarray(self.free.sum(axis=1) + self.regressors.sum(axis=1))
 
     @property
@@ -111,7 +110,7 @@ class Models:
     def columns(self, theta: FloatArray) -> list[tuple[str, int]]:
         """Return name and column of each parameter of the first model except R, such as ("GM1.T", 5).
 
-        Several Gauss-Markov terms are ``GM1``, ``GM2`` …, sorted by rising time in `theta`, shape (p,).
+        Several Gauss-Markov terms are ``GM1``, ``GM2`` …, sorted by rising time in `theta`.
         """
         slots = np.flatnonzero(self.has[0]).tolist()
         time = {at: at + len(self.slots) - SHAPED for at in slots if at >= SHAPED}

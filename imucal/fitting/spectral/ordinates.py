@@ -1,7 +1,5 @@
 """The data of the likelihood: sums of squared DCT ordinates in bins, and regressors.
 
-The bins of several unbroken blocks follow each other: the likelihoods of the blocks multiply.
-
 A regressor is a slow, known shape that the fit removes by generalised least squares. Its name defines it;
 places and times are in samples, from the first sample of the record:
 
@@ -130,10 +128,7 @@ def _basis(bins: DctBins) -> FloatArray:
 
 
 def coarser(ordinates: Ordinates, *, singles: int = 12, merge: int = 6) -> Ordinates:
-    """Return fewer bins: the first `singles` of each block unchanged, then groups of `merge` bins.
-
-    If there are many blocks, bins of similar frequency are merged again.
-    """
+    """Return fewer bins: the first `singles` of each block unchanged, then groups of `merge` bins."""
     size = ordinates.size
     starts = np.concatenate([[0], np.flatnonzero(np.diff(ordinates.lam) < 0) + 1, [size.size]])
     edges: list[int] = []
@@ -150,7 +145,7 @@ def coarser(ordinates: Ordinates, *, singles: int = 12, merge: int = 6) -> Ordin
 
 
 def _merged(ordinates: Ordinates, first: IntArray) -> Ordinates:
-    """Return groups of bins as single bins; `first` are the rising indices of their first bins."""
+    """Return groups of bins as single bins; `first` are the indices of their first bins."""
     size = ordinates.size
     total = np.add.reduceat(size, first)
     single = np.diff(first, append=size.size) == 1
@@ -254,7 +249,7 @@ def cycle_ordinates(
     """Return the ordinates at angles `theta` = pi k/n of cos(omega (t + 1/2) + phase), t = 0 … n-1.
 
     With D(a) = sin(n a/2) / sin(a/2), Dirichlet's kernel: sqrt(2/n)/2 sum over a = omega ± theta of D(a)
-    cos(n a/2 + phase). The arguments are broadcast together.
+    cos(n a/2 + phase).
     """
     total: FloatArray | float = 0.0
     for angle in (omega + theta, omega - theta):

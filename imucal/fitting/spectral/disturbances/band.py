@@ -39,9 +39,9 @@ class Band:
     """The part of the spectrum to fit, up to a `fraction` of Nyquist, and the response there.
 
     `order` has the poles and zeros of the simplest sound response. The response to fit has `poles` and
-    `zeros`, one order more, or 0 if it is flat, and the coefficients `response`. Correlation times are at
-    least `shortest` samples. `masked` is the correlation time, in samples, of a term that could explain the
-    spectrum instead of the filter, or 0. The bins of a `hump` are excluded.
+    `zeros`, one order more, or 0 if it is flat. Correlation times are at least `shortest` samples. `masked`
+    is the correlation time, in samples, of a term that could explain the spectrum instead of the filter, or
+    0. The bins of a `hump` are excluded.
     """
 
     fraction: float
@@ -80,7 +80,7 @@ def response_of(fitted: Fits, band: Band, rate_hz: float) -> Response | None:
 
 
 def corner_of(band: Band) -> float | None:
-    """Return the -3 dB corner of a band's response, as a fraction of Nyquist, or None."""
+    """Return the -3 dB corner of a band's response, as a fraction of Nyquist."""
     return _response(band, band.response, band.zeros)[2] if band.order[0] else None
 
 
@@ -119,7 +119,7 @@ def _kind(band: Band, frequency: FloatArray, power: FloatArray, corner: float) -
 def filter_finding(
     fitted: Fits, band: Band, response: Response | None, *, rate_hz: float, axis: str
 ) -> tuple[Finding, ...]:
-    """Return the finding about an output filter or a hump; () if the whole band is flat."""
+    """Return the finding about an output filter or a hump."""
     top = band.fraction * rate_hz / 2
     if band.flat:
         return ()
@@ -148,7 +148,6 @@ def filter_finding(
 def _two_readings(
     fitted: Fits, band: Band, response: Response | None, *, rate_hz: float, axis: str
 ) -> Finding:
-    """Return the warning for a spectrum that a filter and a Gauss-Markov term explain equally well."""
     of_filter, time_s = "", band.masked / rate_hz
     if response:
         of_filter = f" ({response.kind}, -3 dB at {response.cutoff_hz:.3g} Hz)"
@@ -175,9 +174,9 @@ def start_response(
 ) -> FloatArray:
     """Return starting parameters, shape (1, p): the given slow terms, and a response from the spectrum.
 
-    The first `width` columns of `low` contain the slow terms; `room` columns for the response follow. Above
-    `lowest`, a fraction of Nyquist, white noise dominates: numerator / S = (1 + sum a_i x^i) / N² is a linear
-    regression. If its result is not positive, use the best Butterworth response.
+    The first `width` columns of `low` contain the slow terms. Above `lowest`, a fraction of Nyquist,
+    numerator / S = (1 + sum a_i x^i) / N² is a linear regression. If its result is not positive, use the best
+    Butterworth response.
     """
     poles, zeros = order
     theta = np.concatenate([low[:, :width], np.zeros((1, room))], axis=1)

@@ -67,7 +67,7 @@ _MASKING = 0.5
 #: Density ratio of a Gauss-Markov term to the white noise above which the white noise may be rounding;
 #: variance ratio to the rounding below which it is.
 _ABOVE, _ROUNDED = 4.0, 3.0
-#: Factor by which a Gauss-Markov term's time must be longer so that it can't imitate the filter.
+#: Factor on the shortest correlation time of a term that can't imitate the filter.
 _SLOWER = 10.0
 _ORDERS = 5
 #: Fraction of Nyquist above which the zeros of a response are visible; at Nyquist the response is zero.
@@ -102,8 +102,7 @@ def find_band(
     """Return the band and response that a rich model describes, which contains all candidates.
 
     Q is only fitted without a response, because both bend the top of the spectrum. A `given` structure is
-    preferred if it describes the whole band. A band up to `near`, a fraction of Nyquist, that is known not to
-    be flat is tried first.
+    preferred if it describes the whole band. A band up to `near`, a fraction of Nyquist, is tried first.
     """
     coarse = _coarse(ordinates)
     plain = tuple(symbol for symbol in rich if symbol != "Q")
@@ -128,7 +127,7 @@ def _as_a_filter(found: Band, coarse: Ordinates, plain: Structure, rounding: Rou
 
 
 def _around_hump(coarse: Ordinates, rich: Structure, flat: Band | None) -> Band | None:
-    """Return the whole band without a hump, if power laws describe it better than the `flat` band."""
+    """Return the whole band without a hump, or None."""
     laws = tuple(symbol for symbol in rich if symbol in {"N", "B", "K", "R"})
     hump = find_hump(coarse, laws) if "N" in laws else None
     if hump is None:
@@ -216,7 +215,7 @@ class _BandSearch:
         bent = "Q" in self.structure and quantization > _QUANTIZED * self.level_at_the_top()
         chance = _GAIN_QUANTIZED if bent else _GAIN_FLAT
         if not _enough(trials, chance, _SOUND_FLAT):
-            # The richer fits may have found better slow terms: start again from those.
+            # The richer fits may have found better slow terms.
             again = np.concatenate([t.fit.theta for t in trials])
             again[:, self.width :] = 0.0
             flat = self.fit(self.ordinates, 1.0, [(0, 0)] * 3, again)
@@ -231,7 +230,7 @@ class _BandSearch:
         return float(np.exp(self.blind(self.ordinates)[0, 1])) > 0.5 * self.level_at_the_top()
 
     def sound(self, near: float | None) -> Band | None:
-        """Return a sound description that ends at `near`, or the best of all bands, or None."""
+        """Return a sound description that ends at `near`, or the best of all bands."""
         narrow = self.ordinates.below(_LOW)
         low = self.blind(narrow if narrow.size.size >= _MIN_BINS else self.ordinates)
         if near is not None and (found := _simplest(self.responses(near, low))):

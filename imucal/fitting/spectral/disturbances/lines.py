@@ -111,7 +111,7 @@ def local_level(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the mean square around each bin, and the largest ratio of a square to it, shape (b,) each.
 
-    In a record without lines, any ordinate exceeds this ratio with probability `chance`.
+    An ordinate without lines exceeds this ratio with probability `chance` per record.
     """
     weight = np.ones(ordinates.size) if kept is None else kept.astype(np.float64)
     total = np.add.reduceat(np.square(ordinates) * weight, bins.first - 1)
@@ -129,7 +129,7 @@ def _totals_and_peaks(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArray,
 
 
 def _level(total: FloatArray, count: FloatArray, bins: DctBins) -> tuple[FloatArray, FloatArray]:
-    """Return the median of the neighbouring bins' mean squares and its degrees of freedom, for each bin."""
+    """Return the median of the neighbouring bins' mean squares and its degrees of freedom."""
     mean = np.log(np.maximum(total, 1e-300) / np.maximum(count, 1.0))
     known = np.flatnonzero(count > 0)
     mean = np.interp(np.arange(mean.size), known, mean[known])
@@ -173,7 +173,7 @@ def _exceeds(square: FloatArray, top: int, others: FloatArray) -> bool:
 
 
 def outside(first: IntArray, stop: IntArray, size: int) -> BoolArray:
-    """Return the mask of 0 … size-1 outside all spans from `first` to before `stop`, shape (s,) each."""
+    """Return the mask of 0 … size-1 outside all spans from `first` to before `stop`."""
     steps = np.zeros(size + 1, dtype=np.int64)
     np.add.at(steps, np.clip(first, 0, size), 1)
     np.add.at(steps, np.clip(stop, 0, size), -1)

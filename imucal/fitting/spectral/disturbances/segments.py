@@ -42,8 +42,7 @@ _REACH = 3
 class SegmentOrdinates:
     """The ordinates of all segments, one after the other, without regressors.
 
-    `first` is the index of each segment's first bin, `start_s` and `end_s` are from the first sample; shape
-    (s,).
+    `first` is the index of each segment's first bin; `start_s` and `end_s` are from the first sample.
     """
 
     ordinates: Ordinates
@@ -135,10 +134,7 @@ def _between(samples: FloatArray, at: IntArray, drawn: FloatArray) -> FloatArray
 
 
 def _kept(block: Block, size: int) -> BoolArray | None:
-    """Return the mask of a part's ordinates without the block's lines; None for all.
-
-    A line's tail falls off with the distance in ordinates, which are wider apart in a part.
-    """
+    """Return the mask of a part's ordinates without the block's lines, whose tails are narrower in a part."""
     if block.kept is None:
         return None
     first, stop = left_out(block.kept)
@@ -222,7 +218,7 @@ class _Tests:
         tests = []
         for row, name in enumerate(self.names):
             surplus = self.surplus(name)
-            # A log deviation has a quarter of the variance of the log of its square.
+            # A log deviation has a quarter of the variance.
             logs, weight = self.free.logs[row, :, 0] / 2, 4 * self.free.information[row] / surplus
             if weight.min() > SURE**-2:
                 statistic = cochran_q(logs, weight)
@@ -234,15 +230,13 @@ class _Tests:
         return tuple(tests)
 
     def surplus(self, name: str) -> float:
-        """Return the factor by which heavy tails increase the variance of a log."""
         return self.problem.widening.get(name, 1.0) ** 2
 
     def traces(
         self, model: NoiseModel, curve: AllanCurve, series: AxisSeries
     ) -> tuple[Trace | None, Trace | None, float]:
-        """Return N and the floor of each segment, and the floor's averaging time."""
         length = float(np.min(self.segments.end_s - self.segments.start_s))
-        # Use the model's minimum: the curve's may be in its uncertain end.
+        # The curve's minimum may be in its uncertain end.
         lowest = curve.tau[int(np.argmin(model.avar(curve.m.astype(np.float64), rate_hz=series.rate_hz)))]
         tau = min(float(lowest), _PART * length)
         m = np.array([max(tau / series.tau0, 1.0)])

@@ -68,8 +68,8 @@ ExactPlace = Callable[[float, Sequence[float], float], int]
 class Disturbance:
     """A shape in the samples that is not noise: ``temperature``, ``warm-up``, ``step`` or ``cycle``.
 
-    `names` are its regressors, and `size` their coefficients in scaled units. `price` is the gain in twice
-    the log-likelihood that it needs in addition to a margin.
+    `names` are its regressors, and `size` their coefficients in scaled units. `price` is the gain that it
+    needs in addition to a margin.
     """
 
     kind: str
@@ -92,8 +92,8 @@ def find_disturbances(
 ) -> tuple[tuple[Disturbance, ...], tuple[Disturbance, ...]]:
     """Return the shapes to take out in addition to the ramp, the strongest first; and the doubtful ones.
 
-    `exact` returns the exact place of a step before its fit: otherwise the next best shape would be a second
-    step that corrects the error of the first.
+    `exact` returns the exact place of a step: otherwise the next best shape would be a second step that
+    corrects the error of the first.
     """
     low = [block.lowest(max(_LOWEST // len(blocks), 64)) for block in blocks]
     length = blocks[-1].offset + blocks[-1].bins.n
@@ -245,10 +245,7 @@ _COARSE = 1 / 1000
 
 
 def exact_places(series: AxisSeries) -> ExactPlace:
-    """Return the function that moves a step to the sample that splits its surroundings best.
-
-    For two levels in white noise, the least-squares place maximises the weighted square of their difference.
-    """
+    """Return the function that moves a step to the sample that splits its surroundings best."""
 
     def exact(about: float, taken: Sequence[float], apart: float) -> int:
         clock = series.clock
