@@ -65,7 +65,7 @@ _DRIFT_ORDINATES = 128
 _DRIFT_GAIN = 3.84
 #: Fisher scoring: rounds, halvings of a step, and updates of the starting point.
 _ROUNDS, _HALVINGS, _UPDATES = 100, 20, 20
-#: Up to n divided by this, the passband needs no model.
+#: Averaging factors up to n divided by this need no model.
 _CROSSOVER = 256
 #: A difference of two independent values has half the excess kurtosis of one value.
 _HALVED = 2.0
@@ -121,7 +121,7 @@ def _basis(m: int, span: int, stride: int, estimator: Estimator) -> tuple[FloatA
 
 
 def _lag_grid(m: int, last: int, stride: int, order: int) -> tuple[FloatArray, FloatArray]:
-    """Return lags from 0 to `last` and the weights that sum a smooth even function over them."""
+    """Return lags from 0 to `last` and weights that sum an even function over them."""
     steps = last // stride
     lags = np.arange(steps + 1)
     if steps > _ALL_LAGS:
@@ -142,7 +142,7 @@ def trapezoid_weights(lags: IntArray) -> FloatArray:
 
 
 def graded_lags(kinks: IntArray, low: int, high: int, *, dense: int, per_octave: int) -> IntArray:
-    """Return distinct lags from `low` to `high`: all within `dense` of increasing kinks, fewer beyond."""
+    """Return lags from `low` to `high`: all within `dense` of increasing kinks, fewer beyond."""
     octaves = max(np.log2((high - low) / dense), 0.0)
     out = np.round(dense * 2.0 ** (np.arange(int(octaves * per_octave) + 1) / per_octave))
     about = kinks[:, np.newaxis] + np.concatenate([-out, np.arange(1.0 - dense, dense), out])
@@ -154,7 +154,7 @@ def graded_lags(kinks: IntArray, low: int, high: int, *, dense: int, per_octave:
 
 
 def _covariance(law: PowerLaw, k: FloatArray, m: int, estimator: Estimator) -> FloatArray:
-    """Return s(k); beyond the length of the difference only flicker's is not zero."""
+    """Return s(k), the autocovariance of the differences."""
     difference = np.array([1.0])
     for _ in range(estimator.order + 1 - estimator.integrations):
         difference = np.convolve(difference, [1.0, -1.0])

@@ -48,8 +48,8 @@ from imucal.recording import AxisSeries
 _BLOCK = 32768
 #: Factors up to this are computed block by block.
 _SMALL = 8192
-#: Row of a sum of squares. OpenBLAS uses threads for longer dot products, which are up to 50 times slower
-#: while other programs use the processors.
+#: Row of a sum of squares. OpenBLAS uses threads for dot products of more than 10,000 elements, which are up
+#: to 50 times slower while other programs use the processors.
 _ROW = 8192
 #: Spacing of the windows in `_inside`: this times m / worth², up to the second number; or m / 4 if that
 #: leaves at least the third number of windows.
@@ -88,7 +88,7 @@ class Estimator:
         return max((n + self.integrations - 1) // self.order, 0)
 
     def drawn(self, n: int) -> int:
-        """Return the largest factor of a named set: half the largest, which leaves about 2 to 4 dof."""
+        """Return the largest factor of a named set, which leaves about 2 to 4 dof."""
         return max(self.largest(n) // 2, 1)
 
     def scale(self, m: int) -> float:
@@ -178,7 +178,7 @@ class SquareSum:
 
 
 def _integral(samples: FloatArray, integrations: int) -> FloatArray:
-    """Return the samples minus their mean, summed once or twice from 0; shape (n + integrations,)."""
+    """Return the samples minus their mean, summed once or twice from 0."""
     mean = samples.mean()
     total = aligned(samples.size + integrations)
     total[:integrations] = 0.0
@@ -222,7 +222,6 @@ def _small_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> Float
 
 
 def _difference(values: FloatArray, m: int, lower: list[FloatArray], out: FloatArray) -> None:
-    """Write the m-step difference of order ``len(lower) + 1`` of a block to `out`."""
     for target in (*lower, out):
         size = values.size - m
         np.subtract(values[m:], values[:size], out=target[:size])
@@ -267,7 +266,7 @@ class GappyVariances:
 
 
 def longest_run(clock: Clock) -> int:
-    """Return the samples of the longest unbroken run."""
+    """Return the number of samples of the longest unbroken run."""
     return max((run.stop - run.start for run in runs_of(clock)), default=0)
 
 

@@ -143,7 +143,7 @@ def _undetermined(means: FloatArray, what: str) -> DataError:
 
 
 def _ellipsoid(means: FloatArray, gravity: float) -> tuple[FloatArray, FloatArray] | None:
-    """Return the algebraic ellipsoid through the means; None if the quadric is no ellipsoid."""
+    """Return the algebraic ellipsoid through the means, or None."""
     centre = means.mean(axis=0)
     size = np.abs(means - centre).max()
     if not size > 0:
@@ -296,7 +296,7 @@ def suggest_rest(fit: AccelerometerFit, *, gravity: float) -> Suggestion:
 
 
 def describe_direction(down: FloatArray) -> str:
-    """Return words for a direction, such as ``down between -x and +z, 40° from -x``."""
+    """Return words such as ``down between -x and +z, 40° from -x``."""
     order = [int(i) for i in np.argsort(-np.abs(down)) if abs(down[i]) > _COMPONENT]
     names = [f"{'-' if down[i] < 0 else '+'}{'xyz'[i]}" for i in order]
     if len(names) == 1:
@@ -315,7 +315,7 @@ def _candidates() -> FloatArray:
 
 
 def faces_edges_corners() -> FloatArray:
-    """Return the unit vectors of six faces, then of twelve edges and of eight corners."""
+    """Return the unit vectors of faces, then of edges and of corners."""
     grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
     grid = grid[np.argsort(np.abs(grid).sum(axis=1), kind="stable")][1:]
     return np.asarray(grid / np.linalg.norm(grid, axis=1)[:, None])

@@ -46,10 +46,9 @@ _AXES = "XYZ"
 class CalibrationTarget:
     """One program: name, title, file, formulas, and the template of the text under the comment.
 
-    `sign` starts a comment, or is ``json``. `frame` is the one the program needs, empty for any. `noise` is
-    whether the file has noise numbers too. `uses` are the parts that it has a place for: ``G`` for
-    g-sensitivity, ``gyro`` and ``misalignment`` for the two matrices. `parameters` are an autopilot's names
-    of offsets, scales and offsets of the gyroscope.
+    `sign` starts a comment, or is ``json``. `frame` is the one the program needs, empty for any. `uses` are
+    the parts that it has a place for: ``G`` for g-sensitivity, ``gyro`` and ``misalignment`` for the two
+    matrices. `parameters` are an autopilot's names of offsets, scales and offsets of the gyroscope.
     """
 
     name: str

@@ -26,7 +26,7 @@ __all__ = ["MIN_RESTS", "ImuErrors", "RestsPlan", "plan_rests", "simulate_rests"
 
 #: Minimum number of rests of a log, and of a plan, which fits nine parameters.
 MIN_RESTS, _MIN_PLANNED = 6, 9
-#: Deviations of a consumer IMU's errors: scale, misalignment in rad, biases and g-sensitivity in SI.
+#: Errors of a consumer IMU: scale, misalignment in rad, biases and g-sensitivity in SI.
 _SCALE, _MISALIGNED, _BIAS_A, _BIAS_G, _G = 0.01, 0.01, 0.15, 0.01, 1e-4
 #: Tilt of an attitude, in rad; length of a turn in s, and its yaw, in rad.
 _TILT, _TURN_S, _YAW = 0.08, 2.0, 0.6
@@ -37,7 +37,7 @@ _FACES = np.array([[0, 0, 1], [1, 0, 0], [0, 0, -1], [0, 1, 0], [-1, 0, 0], [0, 
 class ImuErrors(ReadOnlyArrays):
     """Known errors: raw_a = M_a f + b_a, raw_g = M_g w + b_g + G f, in SI.
 
-    The biases are averages over the log, noise included.
+    The biases include noise.
     """
 
     M_a: FloatArray

@@ -187,8 +187,7 @@ def _require_alive(data: Triad) -> None:
 def half_differences(data: Triad, rests: RestMeans, models: tuple[NoiseModel, ...]) -> FloatArray:
     """Return the difference of the two half means of each rest and axis, in deviations, shape (m, 3).
 
-    If most are large, their robust spread replaces the deviation, so that a trembling hand does not exclude
-    every rest.
+    If most are large, as in a trembling hand, their robust spread replaces the deviation.
     """
     first, end = rests.spans.T
     middle = (first + end) // 2
@@ -205,7 +204,7 @@ def half_differences(data: Triad, rests: RestMeans, models: tuple[NoiseModel, ..
 def moved_rests(z: FloatArray) -> BoolArray:
     """Return which rests moved, for `half_differences` of all axes, shape (m, 3) or (m, 6).
 
-    A tilt moves two axes, so the squares of a sensor's axes are added: chi² with 3 degrees of freedom.
+    A tilt moves two axes, so a sensor's squares are added: chi² with 3 degrees of freedom.
     """
     squares = (z.reshape(len(z), -1, 3) ** 2).sum(axis=2)
     limit = max(_MOVED**2, float(chdtri(3, _FALSE_ALARMS / max(squares.size, 1))))

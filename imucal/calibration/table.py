@@ -1,4 +1,4 @@
-"""The table of a calibration: the result in a few lines of text, for the terminal, notebooks and the page."""
+"""The table of a calibration for the terminal, notebooks and the page."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping

@@ -41,9 +41,9 @@ class Turn:
 class TurnData(ReadOnlyArrays):
     """Turns as arrays, padded to the longest.
 
-    `rates`, shape (t, n, 3), are raw minus bias and g-sensitivity, 0 beyond a turn's end. `share`, shape
-    (t, n), is the weight of the later rest in the interpolated bias. `rests`, shape (t,), are indices of the
-    rest before each turn. `up` has shape (m, 3).
+    `rates`, shape (t, n, 3), are raw minus bias and g-sensitivity, 0 beyond a turn's end. `spans`, shape (t,
+    2), are first sample and end. `share`, shape (t, n), is the weight of the later rest in the interpolated
+    bias. `rests`, shape (t,), are indices of the rest before each turn. `up` has shape (m, 3).
     """
 
     rates: FloatArray

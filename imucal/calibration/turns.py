@@ -36,7 +36,7 @@ _MISFIT = 0.05
 class GyroNoise(ReadOnlyArrays):
     """Noise of the three axes: models, and further deviation `tau` of each rest's mean, shape (3,).
 
-    `samples` is the length of the log. `horizontal` is the deviation of both components of the earth's
+    `samples` is the length of the log. `horizontal` is the deviation of each component of the earth's
     horizontal rate, in rad/s.
     """
 
@@ -210,7 +210,6 @@ def _gauss_newton(
 
 
 def _whitened(carried: _Carried, S: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return whitened derivatives and residuals, and the length of the derivatives' columns."""
     L = np.linalg.cholesky(S)
     Jw = solve_triangular(L, carried.J, lower=True)
     rw = solve_triangular(L, carried.residual.ravel(), lower=True)
@@ -293,6 +292,5 @@ def _studentised(carried: _Carried, S: FloatArray, covariance: FloatArray) -> Fl
 
 
 def _blocks(S: FloatArray) -> FloatArray:
-    """Return the 2 by 2 blocks on the diagonal."""
     t = len(S) // 2
     return np.asarray(S.reshape(t, 2, t, 2)[np.arange(t), :, np.arange(t)])

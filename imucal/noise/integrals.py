@@ -39,7 +39,6 @@ Psd: TypeAlias = Callable[[FloatArray], ArrayLike] | tuple[ArrayLike, ArrayLike]
 def _function_of_points(
     frequency: ArrayLike, density: ArrayLike
 ) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
-    """Return the function that is linear on logarithmic axes between points, and the points."""
     f, s = np.asarray(frequency, dtype=np.float64), np.asarray(density, dtype=np.float64)
     if f.ndim != 1 or f.shape != s.shape or not f.size:
         raise ArgumentError(f"a psd of arrays must be two of one shape (k,), got {f.shape} and {s.shape}")
@@ -124,7 +123,7 @@ class _PsdIntegral:
         return sum(self._piece(a, b) for a, b in pairwise([low, *inside, 2 * low]))
 
     def _piece(self, low: float, high: float) -> float:
-        """Return the integral over a piece; uses sin^4 u = 3/8 - cos(2u)/2 + cos(4u)/8 for many periods."""
+        """Return the integral over a piece, with sin^4 u = 3/8 - cos(2u)/2 + cos(4u)/8 for many periods."""
         if math.pi * self.m * (high - low) < _CALM:
             return self._quad(self._whole, low, high)
         mean = self._quad(self._smooth, low, high)
@@ -142,7 +141,7 @@ class _PsdIntegral:
         omega: float = 0.0,
         size: float = 0.0,
     ) -> float:
-        """Return the integral of a function, times a cosine if `omega`, to an accuracy relative to `size`."""
+        """Return the integral of a function, times a cosine if `omega`; `size` sets the accuracy."""
         weight = {"weight": "cos", "wvar": omega, "epsrel": 0.0} if omega else {"epsrel": _TOLERANCE}
         value, error, *_ = scipy.integrate.quad(
             function, low, high, epsabs=_TOLERANCE * size, limit=_HALVINGS, full_output=1, **weight
@@ -186,10 +185,9 @@ def avar_from_psd(
         Sampling period in s.
     sampled
         True if the psd describes the samples, up to 1/(2 tau0). False if it describes a rate in continuous
-        time, averaged over m tau0; it must then grow less steeply than f.
+        time, averaged over m tau0; it is then used at all frequencies and must grow less steeply than f.
     breaks
         Frequencies in Hz where the psd jumps, or has a peak narrower than a hundredth of its frequency.
-        Without them such features could be missed.
 
     Returns
     -------

@@ -37,7 +37,8 @@ class NoiseModel:
         Raises
         ------
         ValueError
-            If the text is not a sum of terms with values, or a unit or a duplicate is wrong.
+            If the text is not a sum of terms with values, a unit does not belong to its term, or a term
+            other than GM is duplicated.
         """
         # Split at plus signs, except in exponents and parentheses.
         parts = re.split(r"(?<![\d.][eE])\+(?![^(]*\))", text)

@@ -174,7 +174,7 @@ class NoiseTerm(ABC):
         """Return V(n), the generalised variance of the sum of `n` samples, shape (j,), in U².
 
         V(n) = -sum over k < n of (n - k) D(k), up to a multiple of n², which cancels in avar(m) = (4 V(m) -
-        V(2m)) / (2 m²). This version sums every lag.
+        V(2m)) / (2 m²).
         """
         n = np.abs(np.asarray(n, dtype=np.float64))
         k = np.arange(1.0, float(n.max(initial=1.0)))

@@ -48,8 +48,8 @@ class DriftPoint:
 
     `axis` is a name such as ``gyro_z``, the worst of several, or ``accel_x gyro_y`` for the sum of two parts.
     `value` is from the fitted model, None if the record shows no term. `low` and `high` are limits at the
-    fit's level. `term` contributes the largest `share` of the value's square. `seen` is whether the record is
-    as long as `STRETCHES` such rests and coasts; None without a record.
+    fit's level, 0 and infinity if unknown. `term` contributes the largest `share` of the value's square.
+    `seen` is whether the record is as long as `STRETCHES` such rests and coasts; None without a record.
     """
 
     time_s: float
@@ -146,7 +146,7 @@ def drift(
 
 
 def _vertical(axes: Sequence[_Axis]) -> str:
-    """Return the letter of the axis parallel to gravity, or empty if the means do not show it."""
+    """Return the letter of the axis parallel to gravity, or empty if unknown."""
     means = {axis.axis: abs(axis.mean) for axis in axes if axis.fit.sensor is Sensor.ACCELEROMETER}
     total = math.hypot(*means.values())
     if len(means) < 3 or not abs(total / G0 - 1) < _NEAR_G:
@@ -231,7 +231,7 @@ class _Coasts:
 
 
 def _both(one: DriftPoint, other: DriftPoint) -> DriftPoint:
-    """Return the drift of two independent parts: squares add up, limits combine as for any sum."""
+    """Return the drift of two independent parts."""
     ends = [[getattr(part, end) or 0.0 for part in (one, other)] for end in ("value", "low", "high")]
     value, low, high = np.square(ends)
     total = float(value.sum())

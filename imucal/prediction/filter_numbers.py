@@ -231,7 +231,7 @@ def covered_frequencies(horizon_s: float, step_s: float, *, lowest: float = _LOW
 def _of_curves(
     fits: Sequence[NoiseFit], drift: Callable[[FloatArray], FloatArray], step_s: float, horizon_s: float
 ) -> _Goal:
-    """Return the upper limits of all curves within the horizon, or their values if limits are unknown."""
+    """Return the upper limits of all curves within the horizon, or their values."""
     times, upper = [], []
     for fit in fits:
         curve = fit.curve

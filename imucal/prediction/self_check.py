@@ -66,7 +66,7 @@ def half_predictions(series: AxisSeries, fit: NoiseFit) -> tuple[Prediction, ...
     """Return how well each half of a record predicts the other; () if the record is too short.
 
     Samples are finite, gaps allowed, after subtracting the shapes that their `fit` by maximum likelihood took
-    out. The squared coefficients of its terms and of N, B and K are estimated from each half.
+    out.
     """
     highest = min(_HIGHEST, series.rate_hz / 2, (fit.goodness.band_hz or (0.0, math.inf))[1])
     if fit.response is not None:
@@ -142,7 +142,7 @@ def _blocks(series: AxisSeries, size: int) -> AxisSeries:
 
 
 class _Half:
-    """The binned psd of a half, the weights of its Allan variances, and the fit's terms at its bins."""
+    """The binned psd of a half, the weights of its Allan variances, and the fit's terms."""
 
     def __init__(self, own: Spectrum, fit: NoiseFit, times: FloatArray, tau0: float, highest: float) -> None:
         keep = own.frequency <= highest

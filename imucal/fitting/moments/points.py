@@ -174,8 +174,8 @@ class AvarPoints:
     """Allan variances to fit, at increasing averaging factors `m`; arrays have the shape (k,).
 
     `avar` are the variances divided by `scale`, in U², and `used` their indices in the curve. `n` is the
-    number of samples; if unknown, the smallest that allows the longest averaging time. `excess` is the excess
-    kurtosis of the white part of the samples, 0 if unknown.
+    number of samples; if unknown, the smallest that allows the longest averaging time. `tau0` is in s.
+    `excess` is the excess kurtosis of the white part of the samples, 0 if unknown.
     """
 
     m: IntArray

@@ -71,8 +71,9 @@ def maximize(
 ) -> Fits:
     """Maximise the likelihood of each model from its row of `start`, shape (c, p).
 
-    `free`, shape (c, p), masks the parameters to move. `tolerance` is the gain of the last step. With a
-    `handicap` on the objectives, shape (c,), models far behind the best are given up early.
+    `free`, shape (c, p), masks the parameters to move. `ramp` is as in `evaluate`. `tolerance` is the gain of
+    the last step. With a `handicap` on the objectives, shape (c,), models far behind the best are given up
+    early.
     """
     low, high = bounds(ordinates, models)
     moving = models.free if free is None else free & models.free

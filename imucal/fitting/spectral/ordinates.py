@@ -39,7 +39,8 @@ class Ordinates:
     `scale` is U per scaled unit: a power of two, so that scaling is exact. Each bin, shape (b,), has `size`
     degrees of freedom, `power`, the sum of their squares, `lam`, the mean of 4 sin²(theta/2), the `length` of
     its block in samples, and `sign`, (-1)^k for a single ordinate k and 0 for several. `basis`, shape (4, b),
-    is the expected square for a unit variance of each of `LAWS`. `top` is lam at the end of the band.
+    is the expected square for a unit variance of each of `LAWS`. `cross` and `gram` are as in `Bins`. `top`
+    is lam at the end of the band.
     """
 
     scale: float

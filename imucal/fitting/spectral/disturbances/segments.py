@@ -134,7 +134,10 @@ def _between(samples: FloatArray, at: IntArray, drawn: FloatArray) -> FloatArray
 
 
 def _kept(block: Block, size: int) -> BoolArray | None:
-    """Return the mask of a part's ordinates without the block's lines, whose tails are narrower in a part."""
+    """Return the mask of a part's ordinates without the block's lines; None for all.
+
+    The reach of a line's tail in ordinates shrinks with the root of the length.
+    """
     if block.kept is None:
         return None
     first, stop = left_out(block.kept)
