@@ -234,7 +234,7 @@ def _ignored(C: FloatArray, free: BoolArray) -> FloatArray:
 
 
 def relative_size(C: FloatArray, gravity: float) -> FloatArray:
-    """Return the changes of `PARAMETERS` that change f by about gravity."""
+    """Return the sizes of `PARAMETERS` that change f by about gravity."""
     return np.concatenate([np.diag(C)[LOWER[1]], gravity / np.diag(C)])
 
 
@@ -243,7 +243,7 @@ def observability(J: FloatArray, S: FloatArray, free: BoolArray) -> tuple[Status
 
     A parameter is ``not-observable`` if it has a part in a direction whose singular value is below 1e-5 of
     the largest, and ``weak`` if directions below 1e-2 cause most of its variance. J, shape (m, p), is in
-    parameters of comparable size; S is the covariance of the residuals.
+    parameters of comparable size.
     """
     Jw = solve_triangular(np.linalg.cholesky(S), J[:, free], lower=True)
     _, values, V = np.linalg.svd(Jw, full_matrices=True)

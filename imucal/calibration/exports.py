@@ -159,7 +159,7 @@ def _ignored(found: Intrinsics) -> float:
 
 
 def _body(target: CalibrationTarget, found: Intrinsics) -> str:
-    """Return the text below the comment; a DataError if an autopilot could not use it."""
+    """Return the text below the comment, or raise a DataError."""
     C = np.eye(3) if found.C_g is None else found.C_g
     b = np.zeros(3) if found.b_g is None else found.b_g
     G = np.zeros((3, 3)) if found.G is None else found.G

@@ -10,7 +10,7 @@ from imucal.frozen import frozen_alone
 
 __all__ = ["FRAMES", "LOWER_SLOPES", "Frame", "rotation_to"]
 
-#: Name of a frame -> how it follows from the accelerometer's axes.
+#: Name of a frame -> its definition.
 FRAMES = {
     "kalibr": "x along the accelerometer's x axis, y in its x-y plane",
     "imu-tk": "z along the accelerometer's z axis, y in its y-z plane",

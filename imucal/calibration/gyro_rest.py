@@ -30,8 +30,8 @@ class GyroRest(ReadOnlyArrays):
     """Bias and g-sensitivity of a gyroscope, with 95 % intervals.
 
     `G`, in raw units per m/s², is zero unless `significant`. `G_estimate` and `G_interval`, shape (3, 3, 2),
-    are NaN if the rests do not determine them. `G_apparent` includes the vertical part of the earth's
-    rotation. `earth_share` is the unknown earth rate's share of the deviation of the diagonal of G.
+    are NaN if unknown. `G_apparent` includes the vertical part of the earth's rotation. `earth_share` is the
+    unknown earth rate's share of the deviation of the diagonal of G.
     """
 
     b: FloatArray

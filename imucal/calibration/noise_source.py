@@ -83,7 +83,7 @@ def noise_base(
 
 
 def white_models(data: Triad, rests: RestMeans) -> tuple[NoiseModel, ...]:
-    """Return the white noise within the rests, of each axis."""
+    """Return the white noise within the rests."""
     return tuple(white_model(float(deviation), data.rate_hz) for deviation in rests.deviations)
 
 

@@ -38,7 +38,7 @@ _MIN_WINDOWS = 10
 _OFF_LEVEL, _JUMP = 8.0, 8.0
 #: Time removed at both ends of a rest, in s.
 _CLEAR_S = 0.15
-#: In a hand: rates that count as rest, in rad/s, and accelerations that change it, per s.
+#: In a hand: rates that count as rest, in rad/s; change of the acceleration by a tilt, in m/s² per rad.
 _IN_HAND, _IN_HAND_JUMP = 0.03, 10.0
 #: Deviations by which the halves of a moved rest differ; more if there are many rests.
 _MOVED, _FALSE_ALARMS = 4.0, 1e-3
@@ -98,7 +98,7 @@ class RestMeans(ReadOnlyArrays):
 
 
 def triad(recording: Recording, sensor: Sensor) -> Triad | None:
-    """Return a sensor's axes on one grid; None if the recording has none of them.
+    """Return a sensor's axes on one grid; None if the recording lacks the sensor.
 
     If only some of the axes exist, or they have different clocks, a DataError is raised.
     """

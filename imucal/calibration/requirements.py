@@ -73,7 +73,7 @@ def require_range(data: Triad, rests: RestMeans) -> None:
 
 
 def trouble_of(start: FloatArray) -> str:
-    """Return why a start of the gyroscope can't be right; or empty."""
+    """Return why a start of the gyroscope can't be right, or an empty text."""
     if turned := _order_of(start):
         return (
             f"x, y, z of the gyroscope are {turned} of the accelerometer; give both sensors the same axes, "
@@ -95,7 +95,7 @@ def _order_of(start: FloatArray) -> str:
 
 
 def unusable_turns(data: Triad, rests: RestMeans) -> list[str]:
-    """Return why each turn between rests cannot be used; empty if it can."""
+    """Return why each turn between rests cannot be used, or an empty text."""
     level = np.median(rests.means, axis=0)
     finite = [column[np.isfinite(column)] for column in data.samples.T]
     extremes = [(low, high) for low, high in ((c.min(), c.max()) for c in finite)]

@@ -160,8 +160,8 @@ def mix(
 class AccelerometerEstimate(ReadOnlyArrays):
     """An accelerometer's parameters with their distribution.
 
-    `fit` is at the most likely slow noise, which `covariances`, shape (3, m, m), include. `excess` is zero if
-    the base is trusted. `chi2`, `dof` and `p` are of the base alone.
+    `fit` is at the most likely slow noise. `covariances`, shape (3, m, m), of the means include the mean slow
+    noise. `excess` is zero if the base is trusted. `chi2`, `dof` and `p` are of the base alone.
     """
 
     fit: AccelerometerFit

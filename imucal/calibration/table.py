@@ -36,7 +36,7 @@ _LISTED = ("weak",)
 
 @frozen
 class Row:
-    """One line of the table: a name, the value with its unit, half of its 95 % interval, and a remark."""
+    """One line of the table; `half` is half of the 95 % interval."""
 
     name: str
     value: str

@@ -269,8 +269,8 @@ class NoiseFit(Displayed):
     criterion
         ``chance``, ``bic``, ``hq``, ``aic``, or ``given`` for a model that the caller fixed.
     noise_share
-        The model's share of each of the curve's Allan variances, shape (k,). None without output filter and
-        lines, which make up the rest.
+        The model's share of each of the curve's Allan variances, shape (k,). None without an output
+        filter and lines.
     taken_out
         Regressors that were removed from the samples -> coefficients in U; the names are those of
         `imucal.fitting.spectral.ordinates`.

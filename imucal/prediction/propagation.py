@@ -166,7 +166,7 @@ def _excursions(fit: NoiseFit, of: Quantity, caution: Caution, *, up: bool) -> I
             yield "", caution.shown * np.maximum(beyond, 0.0)
             continue
         own, end = of(_term(estimate, value)), estimate.high if up else estimate.low
-        # Without an upper limit of the term there is none.
+        # If a term has no upper limit, the quantity has none.
         beyond = sign * (of(_term(estimate, end)) - own) if end < math.inf else np.full_like(own, math.inf)
         names = TERMS[estimate.symbol].parameter_names(estimate.key)
         yield names[0], caution.shown * beyond

@@ -36,7 +36,7 @@ def relative_deviations(
     """
     names = [name for _, own in named_terms(model) for name in own]
     n = round(duration_s * rate_hz)
-    # Their size has no effect on the deviations of the others.
+    # Their size has no effect.
     terms = [*model.terms, *(TERMS[symbol].of(1.0) for symbol in added)]
     if n <= len(names) + len(terms) - len(model.terms) + 1:
         return dict.fromkeys(names, math.inf)

@@ -22,10 +22,11 @@ _EXCESS, _SUM, _TIMES = 0.5, 25.0, 3.0
 #: Least number of ordinates below the hump, and share of all above it.
 _BELOW, _ABOVE = 16.0, 0.05
 #: White noise must be this share of the density in the `_NEXT` bins on both sides: otherwise a filter is more
-#: likely. No filter makes a hump of `_STRONG` times the noise.
+#: likely. Less is enough for a hump of `_STRONG` times the noise, which no filter makes.
 _WHITE, _WHITE_IF_STRONG, _STRONG, _NEXT = 0.6, 0.4, 10.0, 4
-#: A plateau of `_ABOVE_NOISE` times the noise over `_OCTAVES` is white noise behind a filter. Its cells of
-#: `_CELL` octaves have at least `_COUNT` ordinates and may differ by `_EVEN` in addition to chance.
+#: A plateau of `_ABOVE_NOISE` times the noise over `_OCTAVES`, with no lower density below it, is white noise
+#: behind a filter. Its cells of `_CELL` octaves have at least `_COUNT` ordinates and may differ by `_EVEN` in
+#: addition to chance.
 _ABOVE_NOISE, _OCTAVES, _CELL, _COUNT, _EVEN = 1.3, 2.5, 0.5, 200, 0.12
 #: Factor that widens the interval: the next bins may belong to it and be low by chance.
 _GUARD = 1.2

@@ -86,7 +86,7 @@ def line_finding(lines: Sequence[Line], series: AxisSeries) -> tuple[Finding, ..
 
 
 def tone_finding(blocks: SeriesBlocks, series: AxisSeries, *, fitted: bool) -> tuple[Finding, ...]:
-    """Return the finding about possible causes of lines: a warning if they are visible in the Allan curve."""
+    """Return the finding about possible causes of lines: a warning if they bend the Allan curve."""
     lines, hump = _sure_lines(blocks, series)
     visible = hump > _VISIBLE
     if not lines or (fitted and not visible):

@@ -221,7 +221,7 @@ class _Tests:
         tests = []
         for row, name in enumerate(self.names):
             surplus = self.surplus(name)
-            # A log deviation has a quarter of the variance.
+            # A log deviation has a quarter of the variance of a log variance.
             logs, weight = self.free.logs[row, :, 0] / 2, 4 * self.free.information[row] / surplus
             if weight.min() > SURE**-2:
                 statistic = cochran_q(logs, weight)

@@ -38,15 +38,15 @@ _SPACING, _FINE = 0.25, 1 / 64
 #: Least gain beyond the price, in twice the log-likelihood.
 _MARGIN = 7.0
 _CHANCE_STEP = 0.002
-#: Price of a cycle: Baluev (2008), MNRAS 385, 1279. It does not depend on the rate.
+#: Price of a cycle, independent of the rate. Source: Baluev (2008), MNRAS 385, 1279.
 _PRICE_CYCLE = 16.0
-#: Gain beyond its price from which a cycle is doubtful: most clean records gain less.
+#: Gain beyond its price from which a cycle is doubtful.
 _DOUBT = -0.5
 #: Price of a slow cycle, which a random walk often resembles, and of a warm-up.
 _PRICE_SLOW_CYCLE, _PRICE_WARM_UP = 20.0, 20.0
 #: Gain on the rich model from which a warm-up or slow cycle is as likely as a walk.
 _RIVAL_WARM_UP, _RIVAL_CYCLE = 5.0, 14.0
-#: Ratio of the spectra with and without walk below which there is none.
+#: Ratio of the spectra with and without a walk from which there is one.
 _NO_WALK = 2.0
 #: Logarithm of a zero variance.
 _ABSENT = -300.0
@@ -60,7 +60,7 @@ _WORTH_A_FIT, _SMOOTH_WORTH_A_FIT = 15.0, 9.0
 _MAX_SHAPES = 8
 
 
-#: From a step's approximate place, other steps' places and the least distance.
+#: Returns a step's exact place from an approximate one, other steps' places and the least distance.
 ExactPlace = Callable[[float, Sequence[float], float], int]
 
 
