@@ -1,10 +1,8 @@
 """The DCT-II of the samples and its log-spaced bins: the input of intervals and likelihoods.
 
 The DCT-II ordinates of sampled noise are almost uncorrelated; for white noise and a random walk they are
-exactly uncorrelated. A few hundred sums of squared ordinates contain the spectral information of a log.
-
-Long records are split into many short transforms, n = rows * columns, to save memory: SciPy caches 15 n bytes
-of sines for a transform of n samples. Each piece of work fits in the processor's cache.
+exactly uncorrelated. Long records are split into many short transforms, n = rows * columns, to save memory:
+SciPy caches 15 n bytes of sines for a transform of n samples.
 
 Source: the boundary conditions of the DCT-II, Strang (1999), SIAM Review 41, 135; Bailey (1990), "FFTs in
 external or hierarchical memory", J. Supercomputing 4, 23; the DCT-II as a real transform of the even samples,
@@ -34,26 +32,26 @@ ComplexArray: TypeAlias = NDArray[np.complex128]
 LONG = 500_000
 #: Values per piece of work, and the minimum number of adjacent columns in it.
 _PIECE, _MIN_COLUMNS = 1 << 16, 16
-#: The exponent of n in `split`: the fastest, measured from 5e5 to 2e7.
+#: The exponent of n in `split`, the fastest by measurement.
 _SHARE = 0.43
 _BLOCK = 65536
 #: Any length up to the first number is fast, and lengths without prime factors above the second.
 _QUICK, _PRIME = 65536, 127
-#: Angles of a ramp whose sines are computed; the others follow by angle addition.
+#: Number of computed sines of a ramp; the others follow by angle addition.
 _TABLE = 1 << 12
 #: Largest fraction of the samples that `fast_length` drops.
 _CUT = 1e-4
 
 
 def dct2(samples: FloatArray, mean: float = 0.0) -> FloatArray:
-    """Return the orthonormal DCT-II of `samples` minus `mean`, shape (n,), using little memory."""
+    """Return the orthonormal DCT-II of `samples` minus `mean`, using little memory."""
     if samples.size >= LONG:
         return four_step_dct(samples, mean)
     return np.asarray(scipy.fft.dct(samples - mean, type=2, norm="ortho", overwrite_x=True))
 
 
 def idct2(ordinates: FloatArray) -> FloatArray:
-    """Return the inverse of the orthonormal DCT-II, shape (n,). Overwrites `ordinates`."""
+    """Return the inverse of the orthonormal DCT-II. Overwrites `ordinates`."""
     if ordinates.size >= LONG:
         return four_step_idct(ordinates)
     return np.asarray(scipy.fft.idct(ordinates, type=2, norm="ortho", overwrite_x=True))
@@ -70,10 +68,7 @@ def split(n: int) -> int:
 
 
 def four_step_dct(samples: FloatArray, mean: float) -> FloatArray:
-    """Return the orthonormal DCT-II of `samples` minus `mean`, shape (n,); n should have small factors.
-
-    It takes n log n operations and 16 bytes per sample. Rounding errors are about 1e-15 of the largest
-    ordinate.
+    """Return the orthonormal DCT-II of `samples` minus `mean`; n should have small factors.
 
     Let v be the even samples followed by the odd ones in reverse order, V its Fourier transform, and W =
     exp(-i pi k / 2n) V[k]. Ordinate k is the real part of W; ordinate n - k is minus its imaginary part.
@@ -108,7 +103,7 @@ def four_step_dct(samples: FloatArray, mean: float) -> FloatArray:
 
 
 def four_step_idct(ordinates: FloatArray) -> FloatArray:
-    """Return the inverse of `four_step_dct` (the orthonormal DCT-III), shape (n,). Overwrites `ordinates`."""
+    """Return the inverse of `four_step_dct` (the orthonormal DCT-III). Overwrites `ordinates`."""
     n = ordinates.size
     rows = split(n)
     columns = n // rows
@@ -142,10 +137,7 @@ def four_step_idct(ordinates: FloatArray) -> FloatArray:
 
 
 def _turns(rows: IntArray, n: int, columns: int) -> ComplexArray:
-    """Return exp(-2 pi i r (c + 1/4) / n) for rows r and columns c = 0 … columns - 1, shape (r, columns).
-
-    Products of near and far columns need fewer exponentials.
-    """
+    """Return exp(-2 pi i r (c + 1/4) / n) for rows r and columns c = 0 … columns - 1, shape (r, columns)."""
     few = math.isqrt(columns) + 1
     angle = (-2 * np.pi / n) * rows[:, np.newaxis]
     near = np.exp(1j * angle * (np.arange(few) + 0.25))
@@ -159,7 +151,7 @@ class DctBins(ReadOnlyArrays):
     """Bins of the ordinates k = 1 … n-1 of n samples: single ordinates first, then bins of constant ratio.
 
     Each bin starts at ordinate `first` and contains `count` ordinates. `omega` is its mean angular frequency
-    in rad/sample; ordinate k is at pi k / n. Shape (b,) each.
+    in rad/sample. Shape (b,) each.
     """
 
     n: int
@@ -190,8 +182,7 @@ class DctBins(ReadOnlyArrays):
 def dct_bins(n: int, *, singles: int = 128, per_octave: int = 48) -> DctBins:
     """Return the bins for `n` samples, at least 2; an argument below its minimum is a ValueError.
 
-    Each of the ordinates 1 … `singles` (at least 1) has its own bin. Higher bins widen to `per_octave` (at
-    least 1) per octave.
+    Each of the ordinates 1 … `singles` has its own bin. Higher bins widen to `per_octave` per octave.
     """
     if n < 2 or singles < 1 or per_octave < 1:
         raise ArgumentError(
@@ -210,7 +201,7 @@ def dct_bins(n: int, *, singles: int = 128, per_octave: int = 48) -> DctBins:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shared:
-    """Samples with cached transforms of long runs and cached numbers."""
+    """Samples with cached transforms of long runs and numbers."""
 
     samples: FloatArray
     known: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
@@ -240,7 +231,7 @@ def shared_transform(samples: FloatArray) -> Iterator[None]:
         yield
         return
     if shared:
-        # Other samples, for example without spikes: keep one transform at a time to save memory.
+        # Keep one transform at a time to save memory.
         shared.known.clear()
     token = _SHARED.set(_Shared(samples.view()))
     try:
@@ -250,7 +241,7 @@ def shared_transform(samples: FloatArray) -> Iterator[None]:
 
 
 def shared_number(samples: FloatArray, name: str, work: Callable[[], float]) -> float:
-    """Return the result of `work` on `samples`, shape (n,), cached while their transform is shared."""
+    """Return the result of `work` on `samples`, cached while their transform is shared."""
     shared = _SHARED.get()
     if shared is None or samples.size != shared.samples.size or shared.place(samples) is None:
         return work()
@@ -262,9 +253,8 @@ def shared_number(samples: FloatArray, name: str, work: Callable[[], float]) -> 
 def dct_ordinates(samples: FloatArray) -> FloatArray:
     """Return the orthonormal DCT-II ordinates k = 1 … n-1 of `samples`, shape (n-1,), in U.
 
-    The mean is removed first to keep precision. Lengths with large prime factors take up to ten times as
-    long; see `fast_length`. The ordinates of a shared transform are read-only. Fewer than 2 samples, or a
-    value that is not finite, raise a DataError.
+    The ordinates of a shared transform are read-only. Fewer than 2 samples, or a value that is not finite,
+    raise a DataError.
     """
     shared = _SHARED.get()
     place = shared.place(samples) if shared else None
@@ -297,10 +287,7 @@ def _transform(samples: FloatArray) -> FloatArray:
 
 
 def bin_power(ordinates: FloatArray, bins: DctBins) -> FloatArray:
-    """Return the sum of the squared ordinates of each bin, shape (b,), in U².
-
-    Ordinates must have shape (bins.n - 1,); others are a ValueError.
-    """
+    """Return the sum of the squared ordinates of each bin, shape (b,), in U²."""
     if ordinates.shape != (bins.n - 1,):
         raise ArgumentError(f"ordinates must have shape ({bins.n - 1},), got {ordinates.shape}")
     power = np.empty(bins.size)
@@ -320,7 +307,7 @@ def ramp_ordinates(n: int, count: int, *, first: int = 1) -> FloatArray:
     table = step * np.arange(min(_TABLE, odd.size), dtype=np.float64)
     sine, cosine = np.sin(table), np.cos(table)
     for start in range(0, odd.size, _TABLE):
-        # Computing every sine and cosine would take longer than a transform.
+        # Computing every sine would take longer than a transform.
         part = odd[start : start + _TABLE]
         angle = lowest + start * step
         s, c = np.sin(angle), np.cos(angle)
@@ -333,8 +320,8 @@ def ramp_ordinates(n: int, count: int, *, first: int = 1) -> FloatArray:
 def fast_length(n: int) -> int:
     """Return the largest fast transform length up to `n` if it is within 1e-4 of `n`; if not, `n`.
 
-    Prime factors up to 127 take at most twice the time of a power of two, a large one ten times. Dropping a
-    fraction e of the samples moves an estimate by sqrt(e) of its standard error, here at most 0.01.
+    A large prime factor takes ten times as long. Dropping a fraction e of the samples moves an estimate by
+    sqrt(e) of its standard error.
     """
     if n < _QUICK:
         return n
@@ -372,8 +359,7 @@ def spectrum(series: AxisSeries, *, per_octave: int = 12) -> Spectrum:
     """Return the log-binned psd of an axis; missing samples are skipped.
 
     The squared DCT-II ordinates of each unbroken run estimate the two-sided density without leakage from
-    drift. Runs are averaged bin by bin. The lowest eight frequencies have their own bins; higher bins widen
-    to `per_octave` per octave.
+    drift. The lowest eight frequencies have their own bins; higher bins widen to `per_octave` per octave.
 
     Raises
     ------

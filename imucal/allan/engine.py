@@ -1,7 +1,7 @@
 """Compute the Allan curve of an axis: exactly, or with strides if the log does not fit in memory.
 
 With strides, factors below 8192 are exact. Larger ones use sums of 64, 128 … neighbouring samples: values
-differ from the exact ones by about 0.2 % of the interval's width. The degrees of freedom account for this.
+differ by about 0.2 % of the interval's width.
 """
 
 import re
@@ -28,12 +28,11 @@ from imucal.errors import ArgumentError, DataError
 from imucal.recording import AxisSeries
 from imucal.resources import memory_limit
 
-#: Smallest number of start points per averaging time, and the first sum of neighbouring samples; powers of
-#: two.
+#: Smallest number of start points per averaging time, and the first sum of samples; powers of two.
 _DENSE, _THIN = 128, 64
-#: A named set of averaging times, and its default number per decade, as in data sheets.
+#: A named set of averaging times, and its default number per decade.
 _DECADE, _PER_DECADE = re.compile(r"decade(?::(?P<count>[1-9]\d{0,3}))?"), 10
-#: Bytes per sample of the exact curve: the integral and the transform for the intervals.
+#: Bytes per sample of the exact curve.
 _WORK = 32
 _PIECE = 1 << 20
 
@@ -64,10 +63,9 @@ def allan_curve(
 
     Returns
     -------
-    The curve. If the samples need more than a quarter of the machine's memory, large averaging
-    times are strided (`computed` is ``strided``). If samples are missing, `computed` contains the method (see
-    `imucal.allan.variance`), averaging times without enough samples are left out, and the degrees of
-    freedom come from the generic model nearest to the curve.
+    The curve. If the samples need more than a quarter of the machine's memory, large averaging times are
+    strided. If samples are missing, averaging times without enough samples are left out, and the degrees of
+    freedom come from the generic model nearest to the curve. `computed` contains the method.
 
     Raises
     ------
@@ -109,7 +107,7 @@ def allan_curve(
 
 
 def same_curve(series: AxisSeries, curve: AllanCurve) -> AllanCurve:
-    """Return the curve of an axis with the averaging times, estimator and method of another curve."""
+    """Return the curve of an axis with the averaging times, estimator and method of another."""
     edf = curve.edf_method or "hybrid"
     return allan_curve(series, taus=curve.tau.tolist(), estimator=curve.estimator, edf=edf)
 
@@ -168,7 +166,6 @@ def _finite_runs(series: AxisSeries) -> Iterator[tuple[int, int]]:
 
 
 def _sums(samples: FloatArray, step: int) -> FloatArray:
-    """Return the sums of every `step` neighbouring samples, shape (n // step,)."""
     sums = np.empty(samples.size // step)
     for part in blocks(sums.size, samples, size=_PIECE // step):
         rows = samples[part.start * step : part.stop * step].reshape(-1, step)
@@ -196,7 +193,6 @@ def _of_gaps(
 
 
 def _factors(series: AxisSeries, taus: str | Sequence[float], estimator: Estimator, span: int) -> IntArray:
-    """Return the averaging factors for a series that spans `span` sampling periods."""
     largest = estimator.largest(span)
     if largest < 1:
         needed = estimator.order + 1 - estimator.integrations
@@ -215,11 +211,8 @@ def averaging_factors(
 ) -> IntArray:
     """Return distinct averaging factors, increasing, shape (k,), k >= 1.
 
-    `taus` is ``octave`` (1, 2, 4, …), ``decade`` or ``decade:20`` (20 per decade, evenly spaced in log,
-    rounded), ``all``, or averaging times in s, each rounded to a whole number of samples of period `tau0` in
-    s; others are a ValueError. `largest` limits ``all`` and lists. A listed time beyond it, or shorter than a
-    sample, is a DataError that contains `name`. ``octave`` and ``decade`` end at `drawn`, beyond which a
-    value has about 2 degrees of freedom or fewer.
+    `taus` is as in `allan_curve`; others are a ValueError. A listed time beyond `largest`, or shorter than a
+    sample, is a DataError that contains `name`. ``octave`` and ``decade`` end at `drawn`.
     """
     if not isinstance(taus, str):
         return _from_seconds(taus, tau0=tau0, largest=largest, name=name)

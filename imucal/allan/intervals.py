@@ -7,11 +7,9 @@ model
     From the generic model at every averaging time.
 greenhall
     From the power law that the lag-1 autocorrelation identifies at each averaging time, as in Stable32.
-    With few averages it often identifies the wrong law, which costs 10 to 15 % of coverage.
 
-The generic model is the sum of the four power laws and a drift that best fits a spectrum. It need not be
-the true model: the intervals of a curve depend only on the local shape of the spectrum. The degrees of
-freedom under the model are exact. A variance is the mean square of M differences d_t. For Gaussian noise
+The generic model is the sum of the four power laws and a drift that best fits a spectrum. Its degrees of
+freedom are exact. A variance is the mean square of M differences d_t. For Gaussian noise
 
     Var = (2/M) Σ_{|k|<M} (1 - |k|/M) s(k)² + (4 µ²/M) Σ (1 - |k|/M) s(k),   EDF = 2 (s(0) + µ²)² / Var
 
@@ -48,9 +46,9 @@ from imucal.solvers import non_negative
 
 #: More lags than this are summed on a graded grid.
 _ALL_LAGS = 1024
-#: Lags kept one by one around each kink, and points per octave beyond them.
+#: Lags kept around each kink, and points per octave beyond.
 _DENSE, _PER_OCTAVE = 24, 16
-#: Flicker's covariance falls as k^-4; this many averaging times contain all but 1e-6 of its squares.
+#: Flicker's covariance falls as k^-4: this many averaging times are enough.
 _FAR = 32
 #: Above this factor the covariance of the modified estimator is scaled.
 _MODIFIED_LIMIT = 32
@@ -65,13 +63,13 @@ _MODIFIED_SLOPES: dict[PowerLaw, float] = {
 _DRIFT_ORDINATES = 128
 #: Minimum gain of twice the log likelihood: the 95 % quantile of chi-squared with 1 dof.
 _DRIFT_GAIN = 3.84
-#: Fisher scoring: rounds, halvings of a step, and updates that compute the starting point.
+#: Fisher scoring: rounds, halvings of a step, and updates of the starting point.
 _ROUNDS, _HALVINGS, _UPDATES = 100, 20, 20
-#: Up to n divided by this, the passband contains enough ordinates to need no model.
+#: Averaging factors up to n divided by this need no model.
 _CROSSOVER = 256
 #: A difference of two independent values has half the excess kurtosis of one value.
 _HALVED = 2.0
-#: Excess kurtosis of a uniform distribution: the lower limit of the estimate.
+#: Excess kurtosis of a uniform distribution.
 LIGHTEST = -1.2
 #: With fewer averages, the law of the previous averaging time is kept.
 _MIN_AVERAGES = 30
@@ -93,9 +91,8 @@ def model_edf(model: GenericModel, m: int, terms: float, estimator: Estimator, *
     """Return the equivalent degrees of freedom of one value, at least 1.
 
     The scale of `model` does not matter. `terms` is the number M of averaged differences. `stride` is the
-    step in samples between the differences of an overlapping estimator, a divisor of the averaging factor
-    `m`. For estimators of one integration the graded sum has a relative error below 1e-3. The modified
-    estimator above m = 32 uses the shape of its covariance at m = 32.
+    step between the differences of an overlapping estimator, a divisor of `m`. The modified estimator above m
+    = 32 uses the shape of its covariance at m = 32.
     """
     variances = np.array(model.variances)
     if not variances.any() and not model.drift:
@@ -124,10 +121,7 @@ def _basis(m: int, span: int, stride: int, estimator: Estimator) -> tuple[FloatA
 
 
 def _lag_grid(m: int, last: int, stride: int, order: int) -> tuple[FloatArray, FloatArray]:
-    """Return lags from 0 to `last` and the weights that sum a smooth even function over them.
-
-    Every lag is kept near the kinks 0, m, … order m; between them the grid is sparse.
-    """
+    """Return lags from 0 to `last` and weights that sum an even function over them."""
     steps = last // stride
     lags = np.arange(steps + 1)
     if steps > _ALL_LAGS:
@@ -139,7 +133,7 @@ def _lag_grid(m: int, last: int, stride: int, order: int) -> tuple[FloatArray, F
 
 
 def trapezoid_weights(lags: IntArray) -> FloatArray:
-    """Return weights, so that weighted values at increasing `lags`, shape (l,), sum over all lags between."""
+    """Return weights, so that weighted values at increasing `lags` sum over all lags between."""
     weight = np.ones(lags.size)
     skipped = (np.diff(lags) - 1) / 2
     weight[:-1] += skipped
@@ -148,11 +142,7 @@ def trapezoid_weights(lags: IntArray) -> FloatArray:
 
 
 def graded_lags(kinks: IntArray, low: int, high: int, *, dense: int, per_octave: int) -> IntArray:
-    """Return distinct lags from `low` to `high`: all within `dense` of increasing kinks, fewer beyond.
-
-    Beyond, there are `per_octave` up to half way to the next kink, and 129 in all from the first kink to the
-    last.
-    """
+    """Return lags from `low` to `high`: all within `dense` of increasing kinks, fewer beyond."""
     octaves = max(np.log2((high - low) / dense), 0.0)
     out = np.round(dense * 2.0 ** (np.arange(int(octaves * per_octave) + 1) / per_octave))
     about = kinks[:, np.newaxis] + np.concatenate([-out, np.arange(1.0 - dense, dense), out])
@@ -164,7 +154,7 @@ def graded_lags(kinks: IntArray, low: int, high: int, *, dense: int, per_octave:
 
 
 def _covariance(law: PowerLaw, k: FloatArray, m: int, estimator: Estimator) -> FloatArray:
-    """Return s(k); beyond the length of the difference only flicker's is not zero."""
+    """Return s(k), the autocovariance of the differences."""
     difference = np.array([1.0])
     for _ in range(estimator.order + 1 - estimator.integrations):
         difference = np.convolve(difference, [1.0, -1.0])
@@ -185,9 +175,8 @@ def _covariance(law: PowerLaw, k: FloatArray, m: int, estimator: Estimator) -> F
 def fit_spectrum(ordinates: FloatArray, power: FloatArray, bins: DctBins) -> GenericModel:
     """Return the maximum-likelihood generic model of DCT-II ordinates.
 
-    The lowest `ordinates`, from k = 1, shape (j,), determine the drift. `power` contains the sums of squared
-    ordinates in `bins`, shape (b,). Each bin adds to the score -log L = ½ Σ (n_b log S_b + P_b / S_b). The
-    drift is kept only if 2 log L increases by 3.84.
+    The lowest `ordinates`, from k = 1, determine the drift. `power` contains the sums of squared ordinates in
+    `bins`, shape (b,). Each bin adds to the score -log L = ½ Σ (n_b log S_b + P_b / S_b).
 
     Source: Whittle (1953), with the exact E[X_k²] of the DCT-II instead of the psd.
     """
@@ -212,10 +201,7 @@ def fit_spectrum(ordinates: FloatArray, power: FloatArray, bins: DctBins) -> Gen
 
 
 def fit_curve(m: IntArray | FloatArray, avar: FloatArray, weight: FloatArray) -> GenericModel:
-    """Return the generic model nearest to a curve, used if there is no spectrum to fit.
-
-    `m` and `avar`, shape (k,), are the curve; `weight`, shape (k,), approximate degrees of freedom.
-    """
+    """Return the generic model nearest to a curve, for series without a spectrum."""
     good = avar > 0
     basis = np.array([law.avar(m[good].astype(np.float64)) for law in PowerLaw])
     variances = _non_negative(basis / avar[good], np.ones(int(good.sum())), weight[good])
@@ -225,7 +211,6 @@ def fit_curve(m: IntArray | FloatArray, avar: FloatArray, weight: FloatArray) ->
 def _fit(
     basis: FloatArray, power: FloatArray, count: FloatArray, start: FloatArray | None = None
 ) -> tuple[FloatArray, float]:
-    """Return the non-negative variances that minimise the score, and the score."""
     level = power / count
     floor = float(level.sum()) * 1e-30
     if not floor:
@@ -248,8 +233,7 @@ def score_variances(
 
     The spectrum is the sum of `basis`, shape (t, b), times the variances, shape (t,), plus `floor`. A bin has
     the sum `power` of `count` squares. Each step is a weighted least-squares solution, ``solve(basis /
-    spectrum, level / spectrum, count)``, halved until -log L decreases. The search ends if a step gains less
-    than `close`.
+    spectrum, level / spectrum, count)``. The search ends if a step gains less than `close`.
     """
     variances, score = start, _score(start @ basis + floor, power, count)
     for _ in range(_ROUNDS):
@@ -295,8 +279,7 @@ def _non_negative(basis: FloatArray, target: FloatArray, weight: FloatArray) -> 
 def degrees_of_freedom(samples: FloatArray, m: IntArray, estimator: Estimator, method: str) -> FloatArray:
     """Return the equivalent degrees of freedom of each value of a curve, shape (k,), each at least 1.
 
-    `samples`, shape (n,), are evenly spaced and finite; averaging factors `m`, shape (k,), are in the
-    estimator's range. The method is ``hybrid``, ``model`` or ``greenhall``; another is a ValueError.
+    `samples` are evenly spaced and finite. An unknown method is a ValueError.
 
     Source: Greenhall & Riley (2003), PTTI 35; Percival & Walden (2000), ch. 8 (the spectral form).
     """
@@ -304,7 +287,7 @@ def degrees_of_freedom(samples: FloatArray, m: IntArray, estimator: Estimator, m
     terms = np.array([estimator.terms(samples.size, mi) for mi in m.tolist()], dtype=np.float64)
     if method == "greenhall":
         return _greenhall(samples, m, terms, estimator)
-    # Drop a few samples if that makes the transform fast.
+    # Drop a few samples to make the transform fast.
     used = max(fast_length(samples.size), 2)
     bins, ordinates = dct_bins(used), dct_ordinates(samples[:used])
     power, edf = bin_power(ordinates, bins), np.empty(m.size)
@@ -348,7 +331,7 @@ def named_laws(samples: FloatArray, m: IntArray) -> list[PowerLaw]:
 
 
 def _exponent(values: FloatArray, differences: int = 0) -> float:
-    """Return the spectral exponent of `values`, differencing them until they are stationary."""
+    """Return the spectral exponent of `values`, differenced until they are stationary."""
     centred = values - values.mean()
     square = sum_of_squares(centred)
     lag_one = float((centred[1:] * centred[:-1]).sum()) / square if square > 0 else 0.0
@@ -370,10 +353,9 @@ def spectral_edf(
 ) -> FloatArray:
     """Return the degrees of freedom from the spectrum itself, without a model.
 
-    With G the spectrum of the differences, EDF = M (mean G)² / mean G². On average the squared power of a bin
-    of n_b ordinates is too large by the factor 1 + 2/n_b, which is divided out. `power` contains the sums of
-    squared DCT-II ordinates of `bins`, shape (b,). `m` and `terms`, shape (k,), are the averaging factors and
-    numbers M of differences of an overlapping estimator.
+    With G the spectrum of the differences, EDF = M (mean G)² / mean G². The squared power of a bin of n_b
+    ordinates is too large by the factor 1 + 2/n_b, which is divided out. `terms` are the numbers M of
+    differences of an overlapping estimator.
     """
     count = bins.count.astype(np.float64)
     level = power / count
@@ -388,12 +370,11 @@ def spectral_edf(
 
 @lru_cache(maxsize=256)
 def power_response(bins: DctBins, m: int, estimator: Estimator) -> tuple[FloatArray, FloatArray]:
-    """Return an estimator's response H and its square, averaged over each bin, shape (b,).
+    """Return an estimator's response H and its square, averaged over each bin, shape (b,); cached.
 
     The variance is the mean of H S over all angular frequencies, with S the spectrum per sample. For the
-    Allan variance H = 2 sin(m w/2)^4 / (m sin(w/2))². In bins wider than a ripple the ripple is replaced by
-    its mean: the mean of (2 sin)^(2j) is the central binomial coefficient of j. The read-only result is
-    cached.
+    Allan variance H = 2 sin(m w/2)^4 / (m sin(w/2))². In wide bins the ripple is replaced by its mean: the
+    mean of (2 sin)^(2j) is the central binomial coefficient of j.
 
     Source: NIST SP 1065 (2008), eq. 65, for sampled data.
     """
@@ -409,7 +390,7 @@ def power_response(bins: DctBins, m: int, estimator: Estimator) -> tuple[FloatAr
 def excess_kurtosis(samples: FloatArray, neighbours: BoolArray | None = None) -> float:
     """Return the excess kurtosis of the differences of neighbouring samples; 0 if they are constant.
 
-    `neighbours`, shape (n-1,), is True where no sample is missing before the next one; None if none is.
+    `neighbours`, shape (n-1,), is True where no sample is missing before the next one.
     """
     if samples.size < 3:
         return 0.0
@@ -440,10 +421,7 @@ def less_for_heavy_tails(
     estimator: Estimator,
     neighbours: BoolArray | None = None,
 ) -> FloatArray:
-    """Return fewer degrees of freedom for tails heavier than a Gaussian's, more for lighter ones.
-
-    Var increases by kappa/n if there are enough windows; `neighbours` as in `excess_kurtosis`.
-    """
+    """Return fewer degrees of freedom for tails heavier than a Gaussian's, more for lighter ones."""
     kappa = max(_HALVED * excess_kurtosis(samples, neighbours), LIGHTEST)
     independent = samples.size - estimator.order * m + 1.0
     corrected = edf / (1 + kappa * edf / (2 * np.maximum(independent, 1)))
@@ -456,8 +434,7 @@ def gappy_degrees_of_freedom(
     """Return the degrees of freedom where samples are missing, shape (k,), each at least 1.
 
     A series with gaps has no spectrum, so ``hybrid`` and ``model`` use the generic model nearest to the
-    curve. The result is reduced for the part of the mean square that was subtracted. Another method is a
-    ValueError.
+    curve. An unknown method is a ValueError.
     """
     _require_method(method)
     if method == "greenhall":

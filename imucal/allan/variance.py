@@ -1,8 +1,7 @@
 """Variances of any estimator: exact, in cache-sized passes without full-length temporaries, and with gaps.
 
-Small factors are computed block by block, all factors while a block is in the cache. Each block is
-integrated separately: a difference of second order or more cancels the missing offset and slope. Large
-factors use the whole integral column by column, so that each chunk is read once per step.
+Small factors are computed block by block, each integrated separately: a difference of second order or more
+cancels the missing offset and slope. Large factors use the whole integral column by column.
 
 Each estimator is the mean square of a difference of the integrated samples.
 With x the sum of the samples (the angle, for a gyroscope) and z the sum of x:
@@ -22,15 +21,14 @@ Missing samples are never interpolated:
 windows
     For ``overlapping``: differences of the means of two neighbouring windows, each at least half as
     filled as the whole series, minus the effect of the losses. A mean of C of m samples has a variance
-    larger by (1/C - 1/m) S² than a mean of all m, for random losses, with S² the variance inside windows:
-    if 10 % is lost, white noise would read 11 % too high. For bursts of losses, S² weights the covariance
-    inside windows with the autocorrelation of the losses.
+    larger by (1/C - 1/m) S² than a mean of all m, with S² the variance inside windows. For bursts of
+    losses, S² weights the covariance inside windows with the autocorrelation of the losses.
 runs
     For the other estimators: complete differences inside unbroken runs.
 
 Source: the finite-population correction, Cochran (1977), Sampling Techniques, ch. 2. The estimator
 from all pairs of samples (Mondal & Percival, 2010, Ann. Inst. Stat. Math. 62) is also unbiased, but its
-scatter is up to four times as large at long averaging times dominated by white noise.
+scatter is up to four times as large.
 """
 
 from bisect import bisect_left, bisect_right
@@ -50,17 +48,16 @@ from imucal.recording import AxisSeries
 _BLOCK = 32768
 #: Factors up to this are computed block by block.
 _SMALL = 8192
-#: Row of a sum of squares. OpenBLAS uses threads for dot products of more than 10,000 elements, which are
-#: up to 50 times slower while other programs use the processors.
+#: Row of a sum of squares. OpenBLAS uses threads for dot products of more than 10,000 elements, which are up
+#: to 50 times slower while other programs use the processors.
 _ROW = 8192
-#: Spacing of the windows in `_inside`: this times m / worth², up to the second number of places; or m / 4 if
-#: that leaves at least the third number of windows.
+#: Spacing of the windows in `_inside`: this times m / worth², up to the second number; or m / 4 if that
+#: leaves at least the third number of windows.
 _FAR, _FARTHEST, _MIN_INSIDE = 3e-4, 64, 1 << 18
-#: Longer runs use the faster method for series without losses.
+#: Longer runs use the method for series without losses.
 _LONG = 8 * _ROW
 #: Largest lag of the autocorrelation of losses, in mean gaps and in samples.
 _MEAN_GAPS, _LONGEST = 4, 256
-#: Places of the grid per FFT of the loss pattern.
 _CHUNK = 1 << 17
 #: Chunks that are enough to estimate the structure function.
 _ENOUGH = 16
@@ -91,7 +88,7 @@ class Estimator:
         return max((n + self.integrations - 1) // self.order, 0)
 
     def drawn(self, n: int) -> int:
-        """Return the largest factor of a named set: half the largest, which leaves about 2 to 4 dof."""
+        """Return the largest factor of a named set, which leaves about 2 to 4 dof."""
         return max(self.largest(n) // 2, 1)
 
     def scale(self, m: int) -> float:
@@ -111,7 +108,7 @@ ESTIMATORS: dict[str, Estimator] = {
 
 
 def estimator_named(name: str) -> Estimator:
-    """Return the estimator called `name`; an unknown name is a ValueError that lists the names."""
+    """Return the estimator called `name`; an unknown name is a ValueError."""
     if name not in ESTIMATORS:
         raise ArgumentError(f"estimator {name!r} is not known: expected one of {', '.join(ESTIMATORS)}")
     return ESTIMATORS[name]
@@ -120,10 +117,9 @@ def estimator_named(name: str) -> Estimator:
 def variances(samples: FloatArray, m: IntArray, estimator: Estimator) -> FloatArray:
     """Return the variances of an evenly spaced series, shape (k,), in U².
 
-    The samples, shape (n,), are finite, in any unit U. Averaging factors `m`, shape (k,), are from 1 to
+    The samples, shape (n,), are finite. Averaging factors `m`, shape (k,), are from 1 to
     ``estimator.largest(n)``; others are a ValueError. O(n) per factor. Memory: one full-length array if a
-    factor is above 8192, a few blocks if not. The relative error stays below 1e-12 up to 1e8 samples with a
-    mean of a million deviations.
+    factor is above 8192.
     """
     divisors = [estimator.scale(mi) * estimator.terms(samples.size, mi) for mi in m.tolist()]
     return square_sums(samples, m, estimator) / np.array(divisors, dtype=np.float64).reshape(m.shape)
@@ -158,10 +154,7 @@ def sum_of_squares(values: FloatArray) -> float:
 
 
 class SquareSum:
-    """The sum of squares of a work array that is refilled block after block.
-
-    Rows are summed at the end, which saves a reduction per block.
-    """
+    """The sum of squares of a work array that is refilled block after block."""
 
     def __init__(self, work: FloatArray) -> None:
         self.work = work
@@ -171,7 +164,6 @@ class SquareSum:
         self._tails = 0.0
 
     def add(self, count: int) -> None:
-        """Add the squares of the first `count` elements of the work array."""
         whole = count // _ROW
         if whole:
             rows, block = self._rows[:whole], self._block[:whole]
@@ -186,12 +178,12 @@ class SquareSum:
 
 
 def _integral(samples: FloatArray, integrations: int) -> FloatArray:
-    """Return the samples minus their mean, summed once or twice from 0; shape (n + integrations,)."""
+    """Return the samples minus their mean, summed once or twice from 0."""
     mean = samples.mean()
     total = aligned(samples.size + integrations)
     total[:integrations] = 0.0
     last = [0.0] * integrations
-    # A new array per block would cost a page fault for every 512 samples.
+    # A new array per block would cost many page faults.
     work = aligned(min(_BLOCK, samples.size))
     for start in range(0, samples.size, _BLOCK):
         block = samples[start : start + _BLOCK]
@@ -205,7 +197,6 @@ def _integral(samples: FloatArray, integrations: int) -> FloatArray:
 
 
 def _small_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> FloatArray:
-    """Sum the squared differences: outer loop over blocks, inner loop over factors."""
     order, depth = estimator.order, estimator.integrations
     factors: list[int] = m.tolist()
     reach = order * max(factors)
@@ -231,7 +222,6 @@ def _small_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> Float
 
 
 def _difference(values: FloatArray, m: int, lower: list[FloatArray], out: FloatArray) -> None:
-    """Write the m-step difference of order ``len(lower) + 1`` of a block to the start of `out`."""
     for target in (*lower, out):
         size = values.size - m
         np.subtract(values[m:], values[:size], out=target[:size])
@@ -241,7 +231,7 @@ def _difference(values: FloatArray, m: int, lower: list[FloatArray], out: FloatA
 def _column_sum(total: FloatArray, m: int, order: int) -> float:
     """Sum the squared differences over columns of start points in steps of m.
 
-    A step needs one new chunk of the integral: the lower differences are kept from the previous step.
+    A step needs one new chunk of the integral: the lower differences are kept.
     """
     count = total.size - order * m
     work = aligned(_BLOCK)
@@ -266,8 +256,7 @@ def _column_sum(total: FloatArray, m: int, order: int) -> float:
 class GappyVariances:
     """Variances at the averaging factors `m` that the data allow, shape (k,) each, all positive, in U².
 
-    `terms` is the number of differences of each; `inflation` is the uncorrected mean square divided by
-    `avar`.
+    `terms` is the number of differences; `inflation` is the uncorrected mean square divided by `avar`.
     """
 
     m: IntArray
@@ -284,7 +273,7 @@ def longest_run(clock: Clock) -> int:
 def window_variances(series: AxisSeries, m: IntArray) -> GappyVariances:
     """Return overlapping variances from windows that are at least half as filled as the whole series.
 
-    A value that is not positive after the correction is left out. Memory: three full-length arrays.
+    A value that is not positive after the correction is left out.
     """
     correlation, structure = _pattern(series)
     integrals, squares = _integrals(series)
@@ -305,7 +294,7 @@ def window_variances(series: AxisSeries, m: IntArray) -> GappyVariances:
         raw[i] += differences
         if lost:
             inside = _inside(integrals, squares, factor, lost * factor / counts[i] / 2)
-            # S²: the covariance inside windows of m, weighted by the autocorrelation of losses.
+            # S²: the covariance inside windows, weighted by the autocorrelation of losses.
             lag = np.arange(min(correlation.size, factor))
             weight = np.where(lag > 0, 2.0, 1.0) * (1 - lag / factor) * correlation[: lag.size]
             added[i] = lost * float(weight @ (inside - structure[: lag.size] / 2))
@@ -358,8 +347,8 @@ def runs_of(clock: Clock, *, bridging: int = 0) -> list[Run]:
 def _integrals(series: AxisSeries) -> tuple[FloatArray, FloatArray]:
     """Return running sums from which the sums over any window of the even grid follow.
 
-    The first array, shape (2, grid + 1), sums the samples minus their mean and their number. The second,
-    shape (grid + 1,), sums the squares.
+    The first array, shape (2, grid + 1), sums the samples minus their mean and their number; the second sums
+    the squares.
     """
     clock, mean = series.clock, float(series.samples.mean())
     sums = np.zeros((2, clock.grid_size + 1))
@@ -373,9 +362,8 @@ def _integrals(series: AxisSeries) -> tuple[FloatArray, FloatArray]:
 def _inside(integrals: FloatArray, squares: FloatArray, m: int, worth: float) -> float:
     """Return the variance of samples about their means in windows of `m` places, 0 if there is none.
 
-    `worth` is its weight in the result, whose relative interval is at least 2 (3 m / 2n)^(1/2). The spacing
-    of windows adds a hundredth of that. In a long series it is up to a quarter of a window, because windows
-    in between contain almost the same samples.
+    `worth` is its weight in the result. In a long series the spacing is up to a quarter of a window, because
+    windows in between contain almost the same samples.
     """
     apart = max(min(m // 4, squares.size // _MIN_INSIDE), int(min(_FAR * m / worth**2, _FARTHEST)), 1)
     within, freedom = 0.0, 0.0
@@ -398,8 +386,8 @@ def _pairs(
     """Return sums over pairs of neighbouring windows of `m` places with `fewest` or more samples each.
 
     The sums are the number of pairs, the squared differences of means, and 1/C - 1/m of both windows with C
-    samples. `edges` are the places where runs begin and end; far from them all windows are equally filled.
-    `done` are ranges of first places that are already counted.
+    samples. `edges` are the places where runs begin and end. `done` are ranges of first places that are
+    already counted.
     """
     total, filled = integrals
     count, squares, lost, last = 0, 0.0, 0.0, total.size - 2 * m
@@ -441,13 +429,13 @@ def _straight(filled: FloatArray, edges: list[int], points: list[slice]) -> bool
 
 
 def _pattern(series: AxisSeries) -> tuple[FloatArray, FloatArray]:
-    """Return the autocorrelation of losses and the structure function, from lag 0, (j,): FFTs of chunks."""
+    """Return the autocorrelation of losses and the structure function, from lag 0, (j,)."""
     clock = series.clock
     mean_gap = clock.missing / max(len(clock.gaps), 1)
     lags = int(min(max(_MEAN_GAPS * np.ceil(mean_gap), 1), _LONGEST, clock.grid_size))
     mean = float(series.samples.mean())
     pairs, squares, seen, possible = np.zeros((4, lags))
-    # A few chunks determine the structure function; the loss pattern needs all of them.
+    # A few chunks determine the structure function, not the loss pattern.
     every = -(-clock.grid_size // (_ENOUGH * _CHUNK))
     for number, start in enumerate(range(0, clock.grid_size, _CHUNK)):
         size = min(_CHUNK, clock.grid_size - start)

@@ -1,8 +1,7 @@
 """Accelerometer bias, scale and misalignment from the length of gravity at rest.
 
-The model is f = C (raw - b) with lower triangular C: x of the frame is the sensor's x axis, and y lies in its
-x-y plane. The residual of a rest is |f| - g. Generalised least squares with the covariance of the rests'
-means gives C, b and their covariance.
+The model is f = C (raw - b) with lower triangular C; the residual of a rest is |f| - g. Generalised least
+squares gives C, b and their covariance.
 """
 
 import math
@@ -21,26 +20,25 @@ __all__ = [
     "suggest_rest",
 ]  # fmt: skip
 
-#: The parameters in the order of every covariance: the lower triangle of C by rows, then b.
+#: The parameters in the order of every covariance.
 PARAMETERS = (
     *("scale_x", "misalignment_yx", "scale_y", "misalignment_zx", "misalignment_zy", "scale_z"),
     *("bias_x", "bias_y", "bias_z"),
 )
-#: Rows and columns of the lower triangle.
 LOWER = np.tril_indices(3)
 _DIAGONAL = np.array([True, False, True, False, False, True, True, True, True])
 
-#: Singular values below these shares of the largest: nothing is known; the interval is wide.
+#: Shares of the largest singular value below which nothing is known, or the interval is wide.
 _NOTHING, _WEAK = 1e-5, 1e-2
-#: A parameter is part of a direction if its component exceeds this.
+#: Least component of a parameter that is part of a direction.
 _PART = 1e-3
-#: Limits of Gauss-Newton: number of steps, last step in standard deviations, halvings of a step.
+#: Limits of Gauss-Newton: steps, last step in standard deviations, halvings of a step.
 _STEPS, _SMALL_STEP, _HALVINGS = 30, 1e-7, 20
-#: Standard deviation of the misalignments that a diagonal model ignores, in rad; 2 % is a usual upper limit.
+#: Standard deviation of the misalignments that a diagonal model ignores, in rad.
 _IGNORED_MISALIGNMENT = 0.01
-#: Relative deviation of a parameter before any rest; it only ranks attitudes to add.
+#: Relative deviation of a parameter before any rest, for ranking.
 _PRIOR_DEVIATION = 0.1
-#: A direction's axes are listed if their components exceed this.
+#: Least component of an axis in a direction's text.
 _COMPONENT = 0.3
 
 Model: TypeAlias = Literal["full", "diagonal"]
@@ -52,9 +50,8 @@ class AccelerometerFit(ReadOnlyArrays):
     """A calibrated accelerometer: f = C (raw - b).
 
     C is lower triangular, in m/s² per raw unit; b is in raw units. `covariance`, shape (9, 9), is zero for
-    parameters that are not `free`. `f`, shape (m, 3), and `residual` |f| - g, shape (m,), are in m/s².
-    `jacobian`, shape (m, 9), has the derivatives of the residuals. `statuses` are explained at
-    `observability`.
+    parameters that are not `free`. `f`, shape (m, 3), and `residual` |f| - g are in m/s². `jacobian`, shape
+    (m, 9), has the derivatives of the residuals.
     """
 
     C: FloatArray
@@ -71,17 +68,16 @@ class AccelerometerFit(ReadOnlyArrays):
 
     @property
     def model(self) -> Model:
-        """``full`` with nine parameters, ``diagonal`` without misalignment."""
         return "full" if self.free.all() else "diagonal"
 
     @property
     def theta(self) -> FloatArray:
-        """The values of `PARAMETERS`, shape (9,)."""
+        """The values of `PARAMETERS`."""
         return np.concatenate([self.C[LOWER], self.b])
 
     @property
     def up(self) -> FloatArray:
-        """Unit vectors of the specific force, shape (m, 3)."""
+        """Unit vectors of the specific force."""
         return np.asarray(self.f / np.linalg.norm(self.f, axis=1)[:, None])
 
     @property
@@ -116,17 +112,10 @@ def fit_accelerometer(
 ) -> AccelerometerFit:
     """Fit C and b so that |C (mean - b)| is `gravity`, in m/s², at every rest.
 
-    `means`, shape (m, 3), are raw readings in any unit, `covariances`, shape (3, m, m), those of each axis.
-    The default `model` is ``full`` (9 parameters) if the rests determine it, otherwise ``diagonal`` (6, no
-    misalignment); the covariance of a diagonal fit includes ignored misalignments of 0.01 rad. `start` has C
-    and b; the default is an ellipsoid through the means, or each axis's extremes.
-
-    Raises
-    ------
-    DataError
-        If the rests do not determine bias and scale of each axis.
-    ValueError
-        If a full model is requested that the rests do not determine.
+    `means`, shape (m, 3), are raw readings, `covariances`, shape (3, m, m), those of each axis. The default
+    `model` is ``full`` if the rests determine it, otherwise ``diagonal`` (no misalignment). A DataError is
+    raised if the rests do not determine bias and scale of each axis, a ValueError if they do not determine a
+    requested full model.
     """
     means = np.asarray(means, dtype=np.float64).reshape(-1, 3)
     noise = np.asarray(covariances, dtype=np.float64)
@@ -154,7 +143,7 @@ def _undetermined(means: FloatArray, what: str) -> DataError:
 
 
 def _ellipsoid(means: FloatArray, gravity: float) -> tuple[FloatArray, FloatArray] | None:
-    """Return the algebraic ellipsoid through the means; None if the quadric is no ellipsoid."""
+    """Return the algebraic ellipsoid through the means, or None."""
     centre = means.mean(axis=0)
     size = np.abs(means - centre).max()
     if not size > 0:
@@ -169,13 +158,12 @@ def _ellipsoid(means: FloatArray, gravity: float) -> tuple[FloatArray, FloatArra
     A = A / (1 + offset @ A @ offset)
     if np.linalg.eigvalsh(A).min() <= 0:
         return None
-    # Cholesky of the matrix with reversed axes gives A = C'C with C lower triangular.
+    # Reversed axes give A = C'C with C lower triangular.
     C = np.linalg.cholesky(A[::-1, ::-1])[::-1, ::-1].T * (gravity / size)
     return C, centre + size * offset
 
 
 def _extremes(means: FloatArray, gravity: float) -> tuple[FloatArray, FloatArray]:
-    """Return diagonal C and b from the extremes of each axis."""
     low, high = (means.min(axis=0), means.max(axis=0)) if len(means) else (np.zeros(3), np.zeros(3))
     if constant := [axis for axis, same in zip("xyz", high <= low, strict=True) if same]:
         raise _undetermined(means, f"bias and scale of {', '.join(constant)}")
@@ -208,7 +196,7 @@ def _gauss_newton(
             break
         change = np.zeros(9)
         change[free] = step / size
-        # A full step can leave the region where the residuals are linear: halve it until they decrease.
+        # A full step can leave the region where the residuals are linear.
         for _ in range(_HALVINGS):
             following = C.copy()
             following[LOWER] += change[:6]
@@ -235,7 +223,7 @@ def _gauss_newton(
         residual_covariance=S,
         chi2=float(rw @ rw),
         dof=len(means) - int(free.sum()),
-        # An unknown gravity must not make the scales look weak: it is reported by itself.
+        # An unknown gravity must not make the scales look weak.
         statuses=observability(J * relative_size(C, gravity[0]), S0, free),
     )
 
@@ -246,16 +234,16 @@ def _ignored(C: FloatArray, free: BoolArray) -> FloatArray:
 
 
 def relative_size(C: FloatArray, gravity: float) -> FloatArray:
-    """Return the sizes of `PARAMETERS` that change f by about gravity, shape (9,)."""
+    """Return the sizes of `PARAMETERS` that change f by about gravity."""
     return np.concatenate([np.diag(C)[LOWER[1]], gravity / np.diag(C)])
 
 
 def observability(J: FloatArray, S: FloatArray, free: BoolArray) -> tuple[Status, ...]:
     """Return which parameters the residuals determine.
 
-    A parameter is ``not-observable`` if it is not free or has a part in a direction whose singular value is
-    below 1e-5 of the largest, and ``weak`` if directions below 1e-2 cause most of its variance. J, shape (m,
-    p), is in parameters of comparable size; S is the covariance of the residuals.
+    A parameter is ``not-observable`` if it has a part in a direction whose singular value is below 1e-5 of
+    the largest, and ``weak`` if directions below 1e-2 cause most of its variance. J, shape (m, p), is in
+    parameters of comparable size.
     """
     Jw = solve_triangular(np.linalg.cholesky(S), J[:, free], lower=True)
     _, values, V = np.linalg.svd(Jw, full_matrices=True)
@@ -274,8 +262,8 @@ def observability(J: FloatArray, S: FloatArray, free: BoolArray) -> tuple[Status
 class Suggestion:
     """An attitude that would help most.
 
-    `down` is the unit vector of gravity in the frame of the accelerometer. `parameter` is the least certain
-    parameter now; `ratio` is the worst relative deviation after one more rest there, divided by the one now.
+    `down` is the unit vector of gravity. `parameter` is the least certain one now; `ratio` is the worst
+    relative deviation after one more rest there, divided by the one now.
     """
 
     down: tuple[float, float, float]
@@ -285,10 +273,7 @@ class Suggestion:
 
 
 def suggest_rest(fit: AccelerometerFit, *, gravity: float) -> Suggestion:
-    """Return the attitude whose rest reduces the worst relative deviation most.
-
-    Deviations are relative: of C to the scale of its axis, of b to gravity.
-    """
+    """Return the attitude whose rest reduces the worst relative deviation most."""
     up = _candidates()
     size = relative_size(fit.C, gravity)
     J = (
@@ -311,7 +296,7 @@ def suggest_rest(fit: AccelerometerFit, *, gravity: float) -> Suggestion:
 
 
 def describe_direction(down: FloatArray) -> str:
-    """Return words for a direction, such as ``down between -x and +z, 40° from -x``."""
+    """Return words such as ``down between -x and +z, 40° from -x``."""
     order = [int(i) for i in np.argsort(-np.abs(down)) if abs(down[i]) > _COMPONENT]
     names = [f"{'-' if down[i] < 0 else '+'}{'xyz'[i]}" for i in order]
     if len(names) == 1:
@@ -321,7 +306,7 @@ def describe_direction(down: FloatArray) -> str:
 
 
 def _candidates() -> FloatArray:
-    """Return 300 even directions (Fibonacci lattice), then faces, edges and corners, shape (326, 3)."""
+    """Return 300 even directions (Fibonacci lattice), then faces, edges and corners."""
     k = np.arange(300) + 0.5
     z, angle = 1 - 2 * k / 300, math.pi * (1 + math.sqrt(5)) * k
     ring = np.sqrt(1 - z * z)
@@ -330,7 +315,7 @@ def _candidates() -> FloatArray:
 
 
 def faces_edges_corners() -> FloatArray:
-    """Return the unit vectors of six faces, then of twelve edges and of eight corners, shape (26, 3)."""
+    """Return the unit vectors of faces, then of edges and of corners."""
     grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
     grid = grid[np.argsort(np.abs(grid).sum(axis=1), kind="stable")][1:]
     return np.asarray(grid / np.linalg.norm(grid, axis=1)[:, None])

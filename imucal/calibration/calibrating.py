@@ -51,7 +51,7 @@ from imucal.report.result import Report
 
 __all__ = ["calibrate"]
 
-#: At most this share of the rests is excluded as moved.
+#: Largest share of rests excluded as moved.
 _MAX_MOVED = 1 / 3
 
 
@@ -183,7 +183,7 @@ class _Sensor:
 
 
 def _first_fit(data: Triad, rests: RestMeans, place: Gravity) -> AccelerometerFit:
-    """Return the accelerometer with white noise; enough for scale and directions."""
+    """Return the accelerometer with white noise, for scale and directions."""
     return fit_accelerometer(
         rests.means, base_covariance(white_models(data, rests), data, rests), gravity=place.value
     )
@@ -199,7 +199,7 @@ def _gyro_scale(data: Triad, rests: RestMeans, up: FloatArray) -> FloatArray:
 
 
 def _plain_turns(data: Triad, rests: RestMeans, up: FloatArray, reasons: list[str]) -> TurnData | None:
-    """Return the turns without a reason against them, g-sensitivity ignored; None if there is none."""
+    """Return the turns without a reason against them, g-sensitivity ignored."""
     which = _without(reasons)
     return prepare_turns(data, rests, up, which) if which.size else None
 

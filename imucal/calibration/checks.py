@@ -15,17 +15,16 @@ from imucal.frozen import frozen_alone
 
 __all__ = ["Facts", "findings_of"]
 
-#: The base does not explain the residuals below this p-value of chi².
+#: P-value of chi² below which the base does not explain the residuals.
 _UNEXPLAINED = 0.01
-#: Rests shorter than this are short, in s.
+#: Length of a short rest, in s.
 _SHORT_S = 2.0
-#: Temperatures that differ by more are a warm-up, in K; share of a random walk that suggests one.
+#: Change of temperature of a warm-up, in K; share of a random walk that suggests one.
 _WARMING_K, _WALK_SHARE = 2.0, 0.5
-#: An unknown earth rate is reported above this share of the deviation of G.
+#: Share of the deviation of G above which an unknown earth rate is reported.
 _EARTH_SHARE = 1 / 3
-#: The noise report belongs to another sensor or unit if its samples vary by this factor more or less.
+#: Factor from which a noise report belongs to another sensor or unit.
 _OTHER_NOISE = 3.0
-#: Most times listed.
 _LISTED = 4
 
 
@@ -34,7 +33,7 @@ class Facts:
     """Facts from which the findings follow, with the calibration.
 
     `z` are the differences of the halves of all rests in deviations, shape (m, 3) or (m, 6); `trouble` is why
-    the turns are not explained, or empty.
+    the turns are not explained.
     """
 
     found: Calibration
@@ -45,12 +44,10 @@ class Facts:
 
     @property
     def starts_s(self) -> FloatArray:
-        """Start of each rest, shape (m,)."""
         return np.array([rest.start_s for rest in self.found.rests])
 
     @property
     def used(self) -> BoolArray:
-        """Which rests are used, shape (m,)."""
         return np.array([rest.used for rest in self.found.rests])
 
 
@@ -117,7 +114,7 @@ def _noise(facts: Facts) -> Iterator[Finding]:
             f"The rests differ from gravity by {rms:.2g} mm/s² rms, {times:.2g} times the noise: "
             f"nonlinearity, stress, tremor or temperature. The worst begin at {_times(worst)}."
         )
-        # Without a noise report this is expected, and the intervals include it.
+        # Expected without a noise report, and the intervals include it.
         checked = any(base.checked for base in facts.found.noise.values())
         advice = "Repeat the rests that differ most."
         yield Finding("warning" if checked else "info", "beyond-noise", text, advice, axis="accel")
@@ -149,7 +146,6 @@ def _place(facts: Facts) -> Iterator[Finding]:
         yield Finding("info", "earth-rate", text, "Give the latitude.", axis="gyro")
 
 
-#: Status of a parameter -> the finding about it.
 _STATUSES = {
     "not-observable": Finding("warning", "not-observable", "not observable"),
     "weak": Finding("warning", "weak", "weakly determined"),
@@ -169,7 +165,6 @@ def _observability(facts: Facts) -> Iterator[Finding]:
         every = gyroscope.parameters if gyroscope is not None else {}
         own = [name for name, parameter in every.items() if parameter.status == status]
         turned = [name for name in own if name.startswith(("scale", "misalignment"))]
-        # Turns that nothing explains have a finding of their own.
         if turned and not facts.trouble:
             turns = [
                 f"about {axis} (start with {_others(axis)} down)" for axis in sorted({n[-1] for n in turned})
@@ -189,7 +184,6 @@ def _are(names: list[str]) -> str:
     return "is" if len(names) == 1 else "are"
 
 
-#: Why a turn is not used -> the finding about such turns.
 _TURNS = {
     "wrong": Finding(
         "warning", "turn-wrong", "differ from the others", "Turn more slowly; look for lost samples."

@@ -1,7 +1,4 @@
-"""`calibration.json`: the whole result in SI units, and the part that exports read back.
-
-``schema/calibration-1.schema.json`` defines the layout.
-"""
+"""`calibration.json`: the whole result in SI units, and the part that exports read back."""
 
 import json
 from dataclasses import replace
@@ -28,7 +25,6 @@ __all__ = [
     "to_document",
 ]
 
-#: Name and number of the layout, and of the file.
 SCHEMA, FILE_NAME = "imucal/calibration/1", "calibration.json"
 
 
@@ -88,8 +84,7 @@ def schema() -> JsonObject:
 class Intrinsics(ReadOnlyArrays):
     """The part of a calibration that other programs need: f = C_a (raw - b_a), w = C_g (raw - b_g - G f).
 
-    `kind` is the format of the log. `diagonal_C` and `diagonal_b` are the accelerometer's best fit without
-    misalignment. The gyroscope's C_g, b_g and G are None without one; C_g is None if no turn could be used.
+    `diagonal_C` and `diagonal_b` are the best fit without misalignment. C_g is None if no turn could be used.
     `means`, shape (m, 3), are raw means of the used rests. `weak` are parameters that the log does not
     determine, or only weakly. `warnings` are codes of warnings and errors.
     """
@@ -112,11 +107,9 @@ class Intrinsics(ReadOnlyArrays):
 
     @classmethod
     def of(cls, found: Calibration) -> "Intrinsics":
-        """Return the intrinsics of a calibration."""
         return _intrinsics(Node(plain(to_document(found)), "calibration"))
 
     def in_frame(self, frame: str) -> "Intrinsics":
-        """Return them in another frame of `FRAMES`."""
         if frame == self.frame:
             return self
         R = rotation_to(frame, self.C_a)
@@ -140,13 +133,7 @@ def load_intrinsics(path: Path) -> Intrinsics:
 
 
 def load_calibration(path: Path) -> Node:
-    """Read a ``calibration.json`` or its folder.
-
-    Raises
-    ------
-    ReadError
-        If it is missing, or is not a calibration of the schema this version knows.
-    """
+    """Read a ``calibration.json`` or its folder, or raise a ReadError."""
     file = path / FILE_NAME if path.is_dir() else path
     try:
         root = Node(json.loads(file.read_bytes()), str(file))

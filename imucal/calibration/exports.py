@@ -37,7 +37,7 @@ __all__ = [
     "render_calibration",
 ]  # fmt: skip
 
-#: Topics whose samples a flight stack has corrected already.
+#: Topics with samples that a flight stack has corrected.
 _CORRECTED = {"sensor_combined", "vehicle_imu", "IMU", "RAW_IMU", "SCALED_IMU", "HIGHRES_IMU"}
 _AXES = "XYZ"
 
@@ -46,10 +46,9 @@ _AXES = "XYZ"
 class CalibrationTarget:
     """One program: name, title, file, formulas, and the template of the text under the comment.
 
-    `sign` starts a comment, or is ``json``. `frame` is the one the program needs, empty for any. `noise` is
-    whether the file has noise numbers too. `uses` are the parts that it has a place for: ``G`` for
-    g-sensitivity, ``gyro`` for scale and misalignment of the gyroscope, ``misalignment`` for the
-    accelerometer's. `parameters` are an autopilot's names of offsets, scales and offsets of the gyroscope.
+    `sign` starts a comment, or is ``json``. `frame` is the one the program needs, empty for any. `uses` are
+    the parts that it has a place for: ``G`` for g-sensitivity, ``gyro`` and ``misalignment`` for the two
+    matrices. `parameters` are an autopilot's names of offsets, scales and offsets of the gyroscope.
     """
 
     name: str
@@ -74,7 +73,7 @@ def _targets() -> Iterator[tuple[str, CalibrationTarget]]:
 
 
 def find_calibration_target(name: str) -> CalibrationTarget:
-    """Return a program by its name, ignoring case and hyphens; a ValueError lists the known ones."""
+    """Return a program by its name, ignoring case and hyphens, or raise a ValueError."""
     for target in CALIBRATION_TARGETS.values():
         if name_key(target.name) == name_key(name):
             return target
@@ -86,15 +85,8 @@ def render_calibration(
 ) -> str:
     """Return the text of the file of a program, a key of `CALIBRATION_TARGETS`.
 
-    The numbers of the report `noise`, with the `options` of `imucal.report.exports.export`, go into the same
-    file if the program has a place for both.
-
-    Raises
-    ------
-    DataError
-        If the program needs something that the calibration lacks.
-    ValueError
-        If the name or an option is unknown.
+    The numbers of the report `noise` go into the same file if the program has a place for both. A DataError
+    is raised if the calibration lacks something, a ValueError for an unknown name or option.
     """
     target = find_calibration_target(name)
     found = found.in_frame(target.frame or found.frame)
@@ -112,7 +104,7 @@ def render_calibration(
         return f"{start[0]}{head}\n{missing}{start[1]}{body.rstrip()}\n"
     first = render_noise(noise, target.name, options)
     if target.name == "openvins":
-        # The file of the noise ends with identity matrices.
+        # The noise file ends with identity matrices.
         first = first[: first.index("  Tw:\n")]
         first = "\n".join(line for line in first.splitlines() if not line.startswith("# matrices:"))
     return f"{first.rstrip()}\n{head}\n{body.rstrip()}\n"
@@ -125,7 +117,7 @@ def export_calibration(
     noise: Report | None = None,
     options: ExportOptions = DEFAULT_OPTIONS,
 ) -> Path:
-    """Write the text of `render_calibration` to a file, or into a folder; return the file."""
+    """Write the text of `render_calibration` to a file, or into a folder."""
     target = find_calibration_target(name)
     text = render_calibration(Intrinsics.of(found), name, noise, options)
     return write_configs({target.file_name: text}, path)[0]
@@ -167,14 +159,13 @@ def _ignored(found: Intrinsics) -> float:
 
 
 def _body(target: CalibrationTarget, found: Intrinsics) -> str:
-    """Return the text below the comment; a DataError if an autopilot could not use it."""
-    # Unknown matrices are the identity or 0.
+    """Return the text below the comment, or raise a DataError."""
     C = np.eye(3) if found.C_g is None else found.C_g
     b = np.zeros(3) if found.b_g is None else found.b_g
     G = np.zeros((3, 3)) if found.G is None else found.G
     L, Q = _split(C)
     degree = np.degrees(1.0)
-    # Fusion takes g and deg/s; counts stay counts and their scale changes.
+    # Fusion takes g and deg/s; counts stay counts.
     a_unit, g_unit = (G0, 1 / degree) if found.si else (1.0, 1.0)
     own = {"C_a": found.C_a, "b_a": found.b_a, "C_g": C, "b_g": b, "G": G}
     return template(target.text).render(
@@ -202,7 +193,6 @@ def _list(values: FloatArray, opened: str = "[]", between: str = ", ") -> str:
 
 
 def _rows(values: FloatArray, opened: str = "[]") -> str:
-    """Return a vector, or a matrix as a list of its rows."""
     if values.ndim == 1:
         return _list(values, opened)
     return f"{opened[0]}{', '.join(_list(row, opened) for row in values)}{opened[1]}"
@@ -235,5 +225,4 @@ def _parameters(target: CalibrationTarget, found: Intrinsics) -> dict[str, str]:
     return {name: format(Decimal(repr(float(value))), "f") for name, value in values.items()}
 
 
-#: Name of a program -> its target.
 CALIBRATION_TARGETS: dict[str, CalibrationTarget] = dict(_targets())

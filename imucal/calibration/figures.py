@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
 __all__ = ["FIGURES", "picture"]
 
-#: In inches.
 _WIDTH, _HEIGHT, _HEAD, _FOOT = 10.0, 4.3, 0.8, 0.8
 #: Half-width of a 95 % interval in deviations.
 _Z95 = 1.959964
@@ -58,7 +57,6 @@ def rests_figure(found: Calibration) -> "Figure":
     after = 1e3 * np.array([rest.residual for rest in found.rests])
     before = 1e3 * np.array([rest.before for rest in found.rests])
     half = 1e3 * _Z95 * np.array([rest.sigma or 0.0 for rest in found.rests])
-    # Raw counts have no length in m/s² before the calibration.
     counts = found.accelerometer.parameters["bias_x"].unit == "raw"
     places = [(0.075, 0.9)] if counts else [(0.075, 0.4), (0.575, 0.4)]
     for k, (left, width) in enumerate(places):
@@ -129,7 +127,6 @@ def turns_figure(found: Calibration) -> "Figure":
     return figure
 
 
-#: Name of a picture's file without ending -> function that draws it.
 FIGURES: dict[str, Callable[[Calibration], "Figure"]] = {
     "rests": rests_figure,
     "attitudes": attitudes_figure,
@@ -155,7 +152,7 @@ def _axes(figure: "Figure", left: float, width: float, x: str, y: str) -> "Axes"
 
 
 def _flat(down: FloatArray, sign: float) -> FloatArray:
-    """Return Lambert's equal-area map of directions onto the disc of their half, shape (n, 2).
+    """Return Lambert's equal-area map of directions onto the disc of their half.
 
     Source: Snyder (1987), Map Projections: A Working Manual, USGS 1395, chapter 24.
     """

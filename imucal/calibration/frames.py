@@ -1,8 +1,4 @@
-"""The frame of a calibrated IMU: gravity at rest does not show its rotation, so a convention fixes it.
-
-Row i of M is the gain of axis i times the direction in which it is sensitive. Only these directions fix a
-frame, so axes of different gains or units change nothing.
-"""
+"""The frame of a calibrated IMU: gravity at rest does not show its rotation, so a convention fixes it."""
 
 from itertools import product
 
@@ -14,7 +10,7 @@ from imucal.frozen import frozen_alone
 
 __all__ = ["FRAMES", "LOWER_SLOPES", "Frame", "rotation_to"]
 
-#: Name of a frame -> how it follows from the accelerometer's axes.
+#: Name of a frame -> its definition.
 FRAMES = {
     "kalibr": "x along the accelerometer's x axis, y in its x-y plane",
     "imu-tk": "z along the accelerometer's z axis, y in its y-z plane",
@@ -23,7 +19,7 @@ FRAMES = {
 #: Derivatives of C in its lower triangle, shape (3, 3, 6).
 LOWER_SLOPES = np.zeros((3, 3, 6))
 LOWER_SLOPES[(*LOWER, range(6))] = 1.0
-#: Relative step of a central difference: its error is about 1e-10.
+#: Relative step of a central difference.
 _STEP = 1e-6
 
 
@@ -48,8 +44,8 @@ def rotation_to(frame: str, C: FloatArray) -> FloatArray:
 class Frame(ReadOnlyArrays):
     """A frame of one accelerometer; `name` is a key of `FRAMES`.
 
-    R, shape (3, 3), is the rotation from the frame of the fit, whose C is lower triangular. `slopes`, shape
-    (3, 3, 6), are Rᵀ d(R C): derivatives of R C in the lower triangle of C, turned back.
+    R is the rotation from the frame of the fit, whose C is lower triangular. `slopes`, shape (3, 3, 6), are
+    Rᵀ d(R C): derivatives of R C in the lower triangle of C, turned back.
     """
 
     name: str
@@ -58,7 +54,6 @@ class Frame(ReadOnlyArrays):
 
     @classmethod
     def of(cls, name: str, C: FloatArray) -> "Frame":
-        """Return a frame for a lower triangular C."""
         R, slopes = rotation_to(name, C), np.empty((3, 3, 6))
         for k, (i, j) in enumerate(zip(*LOWER, strict=True)):
             step = np.zeros((3, 3))
@@ -69,7 +64,7 @@ class Frame(ReadOnlyArrays):
 
     @property
     def derivatives(self) -> FloatArray:
-        """Derivatives of R C in the lower triangle of C, shape (3, 3, 6)."""
+        """Derivatives of R C in the lower triangle of C."""
         return np.asarray(np.einsum("ij,jkl->ikl", self.R, self.slopes))
 
     @property
@@ -80,7 +75,7 @@ class Frame(ReadOnlyArrays):
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Names of the scales, misalignments and biases of the accelerometer, in the order of `entries`."""
+        """Names of the accelerometer's parameters, in the order of `entries`, then biases."""
         kinds = (
             f"scale_{'xyz'[i]}" if i == j else f"misalignment_{'xyz'[i]}{'xyz'[j]}" for i, j in self.entries
         )

@@ -7,9 +7,9 @@ from imucal.frozen import frozen
 
 __all__ = ["EARTH_RATE", "EarthRate", "Gravity", "earth_rate", "gravity_at"]
 
-#: Standard gravity, and the deviation of gravity over the inhabited earth, in m/s².
+#: Standard gravity, and its deviation over the inhabited earth, in m/s².
 _STANDARD, _ANYWHERE = 9.80665, 0.015
-#: Deviation of gravity from the normal formula, in m/s².
+#: Deviation from the normal formula, in m/s².
 _ANOMALY = 5e-4
 #: WGS 84: equatorial gravity, Somigliana's constant, first eccentricity squared, free-air gradient in 1/s².
 _EQUATOR, _K, _E2, _FREE_AIR = 9.7803253359, 0.00193185265241, 0.00669437999013, 3.086e-6
@@ -40,12 +40,9 @@ def gravity_at(
 ) -> Gravity:
     """Return gravity: as given, by WGS 84 at a latitude in degrees and a height in m, or the standard value.
 
-    Source: NIMA TR8350.2 (2000), equation 4-1 (Somigliana), with the free-air gradient.
+    An impossible gravity or latitude raises an ArgumentError.
 
-    Raises
-    ------
-    ArgumentError
-        If gravity is not between 9 and 10.5 m/s², or the latitude not between -90 and 90 degrees.
+    Source: NIMA TR8350.2 (2000), equation 4-1 (Somigliana), with the free-air gradient.
     """
     if gravity is not None:
         if not 9.0 < gravity < 10.5:
@@ -64,7 +61,7 @@ def earth_rate(latitude: float | None) -> EarthRate:
     """Return the earth's rotation at a latitude in degrees; without one, only its deviation."""
     if latitude is None:
         share = EARTH_RATE / math.sqrt(2)
-        # A smaller horizontal part than at the equator would not cover there.
+        # The deviation must be large enough at the equator too.
         return EarthRate(vertical=0.0, vertical_sigma=share, horizontal_sigma=share)
     phi = math.radians(latitude)
     horizontal = EARTH_RATE * math.cos(phi) / math.sqrt(2)

@@ -1,8 +1,7 @@
 """Gyroscope bias and g-sensitivity from the mean rates at rest.
 
-The mean rate of rest i is b + G f_i + M earth_i + noise. The vertical part of the earth's rotation is
-proportional to f and looks like a multiple of G; its horizontal part has an unknown heading and counts as
-noise. Turns carry this heading along, so it is correlated between rests.
+The mean rate of rest i is b + G f_i + M earth_i + noise. The vertical part of the earth's rotation looks like
+a multiple of G; its horizontal part has an unknown heading and counts as noise.
 """
 
 import math
@@ -20,9 +19,9 @@ from imucal.frozen import frozen_alone
 
 __all__ = ["GyroRest", "estimate_gyro_rest"]
 
-#: G is used if chi² of its nine entries has a smaller p-value.
+#: P-value of chi² of G's nine entries below which G is used.
 _SIGNIFICANT = 0.01
-#: Minimum number of rests beyond the parameters of one axis for G.
+#: Minimum number of rests beyond the parameters of one axis.
 _MIN_BEYOND = 2
 
 
@@ -30,11 +29,9 @@ _MIN_BEYOND = 2
 class GyroRest(ReadOnlyArrays):
     """Bias and g-sensitivity of a gyroscope, with 95 % intervals.
 
-    `G`, in raw units per m/s², is zero unless `significant`: chi² of the nine entries has p < 0.01.
-    `G_estimate` and `G_interval`, shape (3, 3, 2), are NaN if the rests do not determine them. `G_apparent`
-    includes the vertical part of the earth's rotation, which a correction in the earth's frame needs.
-    `earth_share` is the standard deviation of the diagonal of G from an unknown earth rate, divided by its
-    whole deviation.
+    `G`, in raw units per m/s², is zero unless `significant`. `G_estimate` and `G_interval`, shape (3, 3, 2),
+    are NaN if unknown. `G_apparent` includes the vertical part of the earth's rotation. `earth_share` is the
+    unknown earth rate's share of the deviation of the diagonal of G.
     """
 
     b: FloatArray
@@ -63,9 +60,8 @@ def estimate_gyro_rest(
     """Estimate bias and g-sensitivity by generalised least squares, axis by axis.
 
     `means` are raw rates, `f` calibrated specific forces in m/s², shape (m, 3). `base`, shape (3, m, m), is
-    the covariance of the means by the noise model, and `walk` the `walk_covariance`. `scale` is M_g in raw
-    units per rad/s. If `checked`, `base` is a model of a long static log, used alone if its chi² has p >=
-    0.2. `headings` are of a horizontal vector at the rests, by default independent at each.
+    the covariance of the means. `scale` is M_g in raw units per rad/s. If `checked`, `base` is used alone if
+    its chi² has p >= 0.2.
     """
     m = len(means)
     horizontal = (np.linalg.norm(scale, axis=1) * earth.horizontal_sigma)[:, None, None] ** 2
@@ -103,7 +99,7 @@ def _p_value(fits: list[tuple[Mixture, Mixture, Excess, float]], dof: int) -> fl
 
 
 class _Sensitivity(NamedTuple):
-    """The estimate of G (3, 3), its intervals (3, 3, 2), p, and `earth_share`."""
+    """The estimate of G, its intervals (3, 3, 2), p, and `earth_share`."""
 
     G: FloatArray
     interval: FloatArray

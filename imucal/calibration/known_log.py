@@ -26,9 +26,9 @@ __all__ = ["MIN_RESTS", "ImuErrors", "RestsPlan", "plan_rests", "simulate_rests"
 
 #: Minimum number of rests of a log, and of a plan, which fits nine parameters.
 MIN_RESTS, _MIN_PLANNED = 6, 9
-#: Deviations of the errors of a consumer IMU: scale, misalignment in rad, biases and g-sensitivity in SI.
+#: Errors of a consumer IMU: scale, misalignment in rad, biases and g-sensitivity in SI.
 _SCALE, _MISALIGNED, _BIAS_A, _BIAS_G, _G = 0.01, 0.01, 0.15, 0.01, 1e-4
-#: A hand tilts an attitude by this, in rad; length of a turn in s, and its yaw, in rad.
+#: Tilt of an attitude, in rad; length of a turn in s, and its yaw, in rad.
 _TILT, _TURN_S, _YAW = 0.08, 2.0, 0.6
 _FACES = np.array([[0, 0, 1], [1, 0, 0], [0, 0, -1], [0, 1, 0], [-1, 0, 0], [0, -1, 0.0]])
 
@@ -37,7 +37,7 @@ _FACES = np.array([[0, 0, 1], [1, 0, 0], [0, 0, -1], [0, 1, 0], [-1, 0, 0], [0, 
 class ImuErrors(ReadOnlyArrays):
     """Known errors: raw_a = M_a f + b_a, raw_g = M_g w + b_g + G f, in SI.
 
-    The biases are averages over the log, noise included.
+    The biases include noise.
     """
 
     M_a: FloatArray
@@ -49,7 +49,7 @@ class ImuErrors(ReadOnlyArrays):
 
 @frozen_alone
 class _Motion(ReadOnlyArrays):
-    """True specific force and rate, each (n, 3); of the rests spans in samples, (m, 2), and up, (m, 3)."""
+    """True specific force and rate, each (n, 3); spans of the rests in samples, (m, 2), and up, (m, 3)."""
 
     f: FloatArray
     w: FloatArray
@@ -80,19 +80,8 @@ def simulate_rests(
 ) -> tuple[Recording, ImuErrors]:
     """Return a log of rests with smooth turns between, and the errors of its IMU, drawn with the seed.
 
-    Parameters
-    ----------
-    models, lsb
-        Noise of each axis of the gyroscope and of the accelerometer, and their resolution, in SI.
-    count, rest_s
-        Rests and the length of each, in s; a turn takes 2 s.
-    rate_hz, seed
-        Sampling rate, in Hz; the same seed gives the same log.
-
-    Raises
-    ------
-    ArgumentError
-        If there are fewer than 6 rests, or a rest has fewer than 16 samples.
+    `models` and `lsb`, the resolution, are of the gyroscope and of the accelerometer. Fewer than 6 rests, or
+    16 samples of a rest, raise an ArgumentError.
     """
     rng = np.random.default_rng(seed)
     motion = _motion(_up(count, rng), rng, rest_s=rest_s, rate_hz=rate_hz)
@@ -129,21 +118,8 @@ def plan_rests(
 ) -> RestsPlan:
     """Return the attitudes of a log with `count` rests, and the intervals to expect.
 
-    The sensor is taken as perfect and its noise as known. Nonlinearity and warm-up widen the intervals.
-
-    Parameters
-    ----------
-    models
-        Noise by axis name, such as ``accel_x``; six axes, or the accelerometer's three.
-    count, rest_s, rate_hz
-        Rests, length of each in s, and sampling rate in Hz.
-    latitude
-        Of the place, in degrees.
-
-    Raises
-    ------
-    ArgumentError
-        If there are fewer than 9 rests, or the accelerometer has no model.
+    The sensor is taken as perfect and its noise as known. Fewer than 9 rests, or an accelerometer without
+    model, raise an ArgumentError.
     """
     if count < _MIN_PLANNED:
         raise ArgumentError(f"{count} rests do not determine misalignment; plan {_MIN_PLANNED} or more")
@@ -195,7 +171,7 @@ def plan_rests(
 
 
 def _ideal(count: int) -> FloatArray:
-    """Return up directions: six faces, twelve edges, eight corners, then again, shape (count, 3)."""
+    """Return up directions: six faces, twelve edges, eight corners, then again."""
     every = np.vstack([_FACES, faces_edges_corners()[6:]])
     return np.asarray(every[np.arange(count) % len(every)])
 
@@ -208,7 +184,6 @@ def _up(count: int, rng: np.random.Generator) -> FloatArray:
 
 
 def _motion(up: FloatArray, rng: np.random.Generator, *, rest_s: float, rate_hz: float) -> _Motion:
-    """Return rests with these up directions and turns between, which also yaw."""
     rest, turn = round(rest_s * rate_hz), max(8, round(_TURN_S * rate_hz))
     if rest < 16:
         raise ArgumentError(
@@ -222,12 +197,12 @@ def _motion(up: FloatArray, rng: np.random.Generator, *, rest_s: float, rate_hz:
     for target in up[1:]:
         axis = np.cross(v, target)
         sine = float(np.linalg.norm(axis))
-        # Opposite directions have no common plane; any perpendicular axis has one.
+        # Opposite directions have no common plane.
         if sine < 1e-6:
             axis = np.cross(v, [0.6, 0.0, 0.8])
         axis /= np.linalg.norm(axis)
         angle = math.atan2(sine, float(v @ target))
-        # Turning about the vertical changes no direction; steps are finite, so the end is near the target.
+        # Turning about the vertical changes no direction.
         path = rotations(axis * (angle * done)[:, None]) @ v
         w = -axis * (angle * bell)[:, None] + (rng.normal(0, _YAW) * bell)[:, None] * path
         rates += [w, np.zeros((rest, 3))]

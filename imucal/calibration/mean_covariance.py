@@ -16,10 +16,8 @@ def mean_covariance(
     """Return the covariance of span means minus the mean over the whole log, shape (m, m), in U².
 
     The generalised variance V(n) of the sum of n samples gives the covariance of two sums up to terms that
-    cancel in any contrast; minus the mean over the log, every entry is a contrast. `spans`, shape (m, 2), are
-    first sample and end of each on the clock's grid. `samples` is the length of the log; by default the log
-    starts with the first span and ends with the last. Spans that are empty or outside the log raise a
-    ValueError.
+    cancel in any contrast. `spans`, shape (m, 2), are first sample and end of each. Spans that are empty or
+    outside the log of `samples` raise a ValueError.
     """
     spans = np.asarray(spans, dtype=np.int64).reshape(-1, 2)
     log = (int(spans[:, 0].min()), int(spans[:, 1].max())) if samples is None else (0, samples)
@@ -44,5 +42,5 @@ def mean_covariance(
 
 
 def white_model(deviation: float, rate_hz: float) -> NoiseModel:
-    """Return white noise whose samples at `rate_hz` have this standard deviation, in U."""
+    """Return white noise whose samples have this standard deviation, in U."""
     return NoiseModel(terms=(TERMS["N"].of(float(deviation) / math.sqrt(rate_hz)),))

@@ -20,7 +20,7 @@ __all__ = ["NoiseBase", "base_covariance", "noise_base", "report_models", "white
 
 #: Terms that count even if a fit only bounds them.
 _SLOW = ("N", "B", "K")
-#: Noise that differs by more than this factor has another unit: no unit of samples is nearer to SI, except g.
+#: Factor from which noise has another unit: no unit of samples is nearer to SI, except g.
 _OTHER_UNIT = 30.0
 
 
@@ -29,8 +29,7 @@ class NoiseBase:
     """Noise of three axes.
 
     `origin` is ``report``, ``given`` or ``rests``. `ratio` is the deviation of the samples by the models,
-    divided by that within the rests, of the axis that differs most. `factors` are the raw units per SI unit
-    by which models in SI were multiplied, empty if they are as given.
+    divided by that within the rests, of the axis that differs most. `factors` are raw units per SI unit.
     """
 
     models: tuple[NoiseModel, ...]
@@ -52,14 +51,9 @@ def noise_base(
 ) -> NoiseBase:
     """Return the noise of a sensor's axes.
 
-    `noise` is a report of a long static log, or models by axis name such as ``accel_x``, in SI or in the unit
-    of the log; None for the white noise within the rests. `scale` returns raw units per SI unit of each axis,
-    shape (3,); it is only called if the noise has another unit.
-
-    Raises
-    ------
-    DataError
-        If an axis has no model, or if its noise is 30 times as large or as small as that within the rests.
+    `noise` is a report of a long static log, or models by axis name, in SI or in the unit of the log; None
+    for the white noise within the rests. `scale` returns raw units per SI unit of each axis. A DataError is
+    raised if an axis has no model, or if its noise has neither unit.
     """
     if noise is None:
         return NoiseBase(models=white_models(data, rests), origin="rests")
@@ -89,7 +83,7 @@ def noise_base(
 
 
 def white_models(data: Triad, rests: RestMeans) -> tuple[NoiseModel, ...]:
-    """Return the white noise within the rests, of each axis."""
+    """Return the white noise within the rests."""
     return tuple(white_model(float(deviation), data.rate_hz) for deviation in rests.deviations)
 
 
@@ -132,7 +126,7 @@ def _model(fit: NoiseFit) -> NoiseModel:
             value = estimate.high * math.sqrt(MEAN.bounded)
         if not value:
             continue
-        # Flicker covers a Gauss-Markov term of unknown correlation time.
+        # Flicker covers a Gauss-Markov term of unknown time.
         unknown_time = estimate.symbol == "GM" and estimate.correlation_time is None
         terms.append(TERMS["B"].of(value) if unknown_time else estimate.term(value))
     return NoiseModel(terms=tuple(terms))

@@ -14,7 +14,7 @@ from imucal.frozen import frozen
 
 __all__ = ["Parameter", "accelerometer_parameters", "gyroscope_parameters", "inverse", "is_si"]
 
-#: Scales within this factor of 1 are scale errors; others belong to raw counts or another unit.
+#: Scales within this factor of 1 are scale errors; others belong to raw counts.
 _SI = 1.5
 _NINE = [(i, j) for i in range(3) for j in range(3)]
 
@@ -25,8 +25,8 @@ class Parameter:
 
     `unit` is ``%`` for a scale error, ``raw/(m/s^2)`` or ``raw/(rad/s)`` for the scale of raw counts,
     ``deg`` for a misalignment, the sensor's unit for a bias and ``(rad/s)/(m/s^2)`` for g-sensitivity.
-    `status` is ``estimated``, ``weak``, ``not-significant`` (estimated, but 0 is applied) or
-    ``not-observable``, and then value, low and high are None.
+    `status` is ``estimated``, ``weak``, ``not-significant`` (0 is applied) or ``not-observable``, without a
+    value.
     """
 
     value: float | None
@@ -37,7 +37,6 @@ class Parameter:
 
     @property
     def half_width(self) -> float | None:
-        """Half of the interval's width."""
         return None if self.low is None or self.high is None else (self.high - self.low) / 2
 
 
@@ -67,7 +66,7 @@ def accelerometer_parameters(found: AccelerometerEstimate, frame: Frame) -> Mapp
 
 
 def gyroscope_parameters(rest: GyroRest, turns: TurnsFit | None) -> Mapping[str, Parameter]:
-    """Return scale_x …, misalignment_xy … (six), bias_x … and g_sensitivity_xx … (nine) of a gyroscope.
+    """Return scale_x …, misalignment_xy …, bias_x … and g_sensitivity_xx … of a gyroscope.
 
     Without turns the first nine are not observable.
     """
@@ -119,7 +118,7 @@ def _seen(
 
 
 def inverse(C: FloatArray) -> FloatArray:
-    """Return M = C⁻¹, shape (3, 3)."""
+    """Return C⁻¹."""
     return np.asarray(np.linalg.inv(C), dtype=np.float64)
 
 

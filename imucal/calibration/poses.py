@@ -1,7 +1,6 @@
 """Rests of a log in which the IMU is put down, turned and put down again.
 
-A rest lasts a second or more; `imucal.rests`, for noise fits, requires 20 s. A short rest has only five
-windows, so the limits differ.
+A rest lasts a second or more, so the limits differ from those of `imucal.rests`.
 """
 
 import math
@@ -32,19 +31,18 @@ __all__ = [
 
 #: Length of a window in s, and its fewest samples.
 _WINDOW_S, _WINDOW_SAMPLES = 0.2, 8
-#: Length of the quietest stretch of an axis, in s; a window is quiet below this multiple of its variance.
+#: Length of the quietest stretch of an axis, in s; multiple of its variance that ends a rest.
 _STRETCH_S, _QUIET = 5.0, 6.0
-#: Minimum number of windows of a log.
 _MIN_WINDOWS = 10
-#: Limits for the mean rate and for a jump of the accelerometer, in deviations.
+#: Limits for the mean rate and for a jump, in deviations.
 _OFF_LEVEL, _JUMP = 8.0, 8.0
 #: Time removed at both ends of a rest, in s.
 _CLEAR_S = 0.15
-#: In a hand: rates below this count as rest, in rad/s; so do accelerations that change it this much per s.
+#: In a hand: rates that count as rest, in rad/s; change of the acceleration by a tilt, in m/s² per rad.
 _IN_HAND, _IN_HAND_JUMP = 0.03, 10.0
-#: A rest is excluded if its halves differ by this many deviations, or by more if there are many rests.
+#: Deviations by which the halves of a moved rest differ; more if there are many rests.
 _MOVED, _FALSE_ALARMS = 4.0, 1e-3
-#: Rests within this angle have the same attitude, in rad.
+#: Angle within which rests have the same attitude, in rad.
 _SAME_ATTITUDE = math.radians(10.0)
 
 
@@ -62,13 +60,13 @@ class Triad(ReadOnlyArrays):
     offset_s: float = 0.0
 
     def places(self, times_s: FloatArray) -> IntArray:
-        """Return the index of the first sample at or after each time, limited to the log."""
+        """Return the index of the first sample at or after each time."""
         found = np.ceil((np.asarray(times_s) - self.offset_s) * self.rate_hz - 1e-6).astype(np.int64)
         return np.clip(found, 0, len(self.samples))
 
     @property
     def end_s(self) -> float:
-        """Time after the last sample, in s from the first sample of the accelerometer."""
+        """Time after the last sample, as `offset_s`."""
         return self.offset_s + len(self.samples) / self.rate_hz
 
 
@@ -85,12 +83,11 @@ class RestMeans(ReadOnlyArrays):
 
     @classmethod
     def of(cls, data: Triad, spans_s: FloatArray) -> "RestMeans":
-        """Return the means of the rests with these times, shape (m, 2), in s."""
         spans = data.places(spans_s)
         parts = [data.samples[first:end] for first, end in spans]
         variances = np.array([part.var(axis=0, ddof=1) for part in parts])
         lengths = np.diff(spans, axis=1)[:, 0] - 1.0
-        # Rounding alone has this variance: an axis whose noise is below half a step may not change at rest.
+        # Noise below half a step may show no change at rest.
         steps = [step_of(data.samples[:, axis]) for axis in range(3)]
         pooled = np.average(variances, axis=0, weights=lengths) if parts else np.zeros(3)
         return cls(
@@ -101,7 +98,7 @@ class RestMeans(ReadOnlyArrays):
 
 
 def triad(recording: Recording, sensor: Sensor) -> Triad | None:
-    """Return a sensor's axes on one grid; None if the recording has none of them.
+    """Return a sensor's axes on one grid; None if the recording lacks the sensor.
 
     If only some of the axes exist, or they have different clocks, a DataError is raised.
     """
@@ -134,9 +131,7 @@ def find_rests(
 ) -> FloatArray:
     """Return start and end of each rest, shape (m, 2), in s from the first sample of the accelerometer.
 
-    Windows of 0.2 s are quiet if each axis varies little, no axis turns steadily and the accelerometer does
-    not jump. A rest is a run of quiet windows of `at_least_s`, with 0.15 s removed at each end. If `in_hand`,
-    rates below 0.03 rad/s count as rest. An axis that never changes raises a DataError.
+    If `in_hand`, rates below 0.03 rad/s count as rest. An axis that never changes raises a DataError.
     """
     sensors = [accelerometer] if gyroscope is None else [accelerometer, gyroscope]
     start, end = max(data.offset_s for data in sensors), min(data.end_s for data in sensors)
@@ -145,16 +140,12 @@ def find_rests(
         _require_alive(data)
         moved += _moved(data, _IN_HAND if in_hand else 0.0)
     rests = np.array(rests_between(moved, end, clear_s=_CLEAR_S))
-    # Between two gaps there may be no whole window.
     shortest = max(at_least_s, *(_WINDOW_SAMPLES / data.rate_hz for data in sensors))
     return np.asarray(rests[np.diff(rests, axis=1)[:, 0] >= shortest])
 
 
 def _moved(data: Triad, still: float) -> list[tuple[float, float]]:
-    """Return when a sensor moved or lacks samples, in s; rates below `still` count as rest.
-
-    A jump of the accelerometer between two quiet windows has no length.
-    """
+    """Return when a sensor moved or lacks samples, in s; rates below `still` count as rest."""
     known = np.asarray(np.isfinite(data.samples).all(axis=1))
     clock = Clock.even(len(known), data.rate_hz).keeping(known)
     axes = zip(AXES, data.samples[known].T, strict=True)
@@ -167,7 +158,7 @@ def _moved(data: Triad, still: float) -> list[tuple[float, float]]:
     reference = np.array([quietest(one, round(_STRETCH_S / windows.length_s)) for one in variance.T])
     deviation = np.sqrt(reference / windows.width)
     accelerometer = data.sensor is Sensor.ACCELEROMETER
-    # A hand also changes the direction of gravity within a window.
+    # A hand also tilts within a window.
     tremor = still * _IN_HAND_JUMP * windows.length_s if accelerometer else still / 2
     quiet = (variance < np.maximum(_QUIET * reference, tremor**2)).all(axis=1)
     moved = [(gap.start_s, gap.start_s + gap.duration_s) for gap in clock.gaps]
@@ -196,8 +187,7 @@ def _require_alive(data: Triad) -> None:
 def half_differences(data: Triad, rests: RestMeans, models: tuple[NoiseModel, ...]) -> FloatArray:
     """Return the difference of the two half means of each rest and axis, in deviations, shape (m, 3).
 
-    The deviation follows from the noise models. If most differences are larger, their robust spread replaces
-    it, so that flicker that the models lack, or a trembling hand, does not exclude every rest.
+    If most are large, as in a trembling hand, their robust spread replaces the deviation.
     """
     first, end = rests.spans.T
     middle = (first + end) // 2
@@ -212,10 +202,9 @@ def half_differences(data: Triad, rests: RestMeans, models: tuple[NoiseModel, ..
 
 
 def moved_rests(z: FloatArray) -> BoolArray:
-    """Return which rests moved, shape (m,), for `half_differences` of all axes, shape (m, 3) or (m, 6).
+    """Return which rests moved, for `half_differences` of all axes, shape (m, 3) or (m, 6).
 
-    A tilt moves two axes, so the squares of a sensor's axes are added: chi² with 3 degrees of freedom. The
-    limit is 4 deviations, or the one with a false alarm in 1 of 1 000 logs if that is higher.
+    A tilt moves two axes, so a sensor's squares are added: chi² with 3 degrees of freedom.
     """
     squares = (z.reshape(len(z), -1, 3) ** 2).sum(axis=2)
     limit = max(_MOVED**2, float(chdtri(3, _FALSE_ALARMS / max(squares.size, 1))))
@@ -234,7 +223,7 @@ def attitudes(up: FloatArray) -> int:
 def step_of(samples: FloatArray) -> float:
     """Return the smallest difference between distinct values; 0 if there is one value only."""
     different = np.diff(np.unique(samples[np.isfinite(samples)]))
-    # Values computed from counts differ by rounding too.
+    # Values from counts also differ by rounding.
     real = (
         different[different > 1e-9 * np.abs(samples[np.isfinite(samples)]).max()]
         if different.size

@@ -1,4 +1,4 @@
-"""Requirements of a log: rests, attitudes, range and unit; and which turns can be used."""
+"""Requirements of a log, and which turns can be used."""
 
 import numpy as np
 
@@ -12,26 +12,23 @@ __all__ = [
     "trouble_of", "unusable_turns",
 ]  # fmt: skip
 
-#: Minimum number of rests for any result, and the shortest that are worth a try, in s.
+#: Minimum number of rests, and the shortest that are worth a try, in s.
 MIN_RESTS, _SHORTEST_S = 6, 0.4
-#: Lengths of gravity that belong to a log in g.
+#: Lengths of gravity of a log in g.
 _IN_G = 0.85, 1.15
-#: Readings at 1 rad/s that belong to a log in deg/s.
+#: Readings at 1 rad/s of a log in deg/s.
 _IN_DEGREES = 50.0, 65.0
-#: Noise within a rest spans at least this many steps; with less, a rest may be constant without clipping.
+#: Least span of noise within a rest, in steps; with less, a rest may be constant.
 _NOISY = 3
 #: A longer turn is not used, in s.
 _LONGEST_TURN_S = 60.0
-#: A clipped axis repeats its extreme this often, and the extreme is this many steps from the level at rest.
+#: Least repetitions of an extreme on a clipped axis, and its least distance from rest, in steps.
 _REPEATED, _FAR = 3, 20
 ADVICE = "put the IMU down on each face and on six edges, 5 s each: about 2 minutes"
 
 
 def require_rests(spans_s: FloatArray, accelerometer: Triad, gyroscope: Triad | None) -> None:
-    """Raise a DataError if there are fewer than 6 rests, spans of shape (m, 2).
-
-    The message reports the rests that are shorter, or that a hand's tremor hides, if these are enough.
-    """
+    """Raise a DataError if there are fewer than 6 rests, spans of shape (m, 2)."""
     if len(spans_s) >= MIN_RESTS:
         return
     short = len(find_rests(accelerometer, gyroscope, at_least_s=_SHORTEST_S))
@@ -49,7 +46,7 @@ def require_rests(spans_s: FloatArray, accelerometer: Triad, gyroscope: Triad | 
 def require_attitudes(means: FloatArray) -> None:
     """Raise a DataError if all means of an accelerometer in SI units have one direction."""
     norm = np.linalg.norm(means, axis=1)
-    # Raw counts may have an offset that hides the direction; then the fit notices.
+    # Raw counts may have an offset that hides the direction.
     if np.all((norm > 5) & (norm < 15)) and attitudes(means / norm[:, None]) == 1:
         raise DataError(f"all {len(means)} rests have the same attitude within 10°; {ADVICE}")
 
@@ -76,7 +73,7 @@ def require_range(data: Triad, rests: RestMeans) -> None:
 
 
 def trouble_of(start: FloatArray) -> str:
-    """Return why a start of the gyroscope can't be right: permuted or mirrored axes, or deg/s; or empty."""
+    """Return why a start of the gyroscope can't be right, or an empty text."""
     if turned := _order_of(start):
         return (
             f"x, y, z of the gyroscope are {turned} of the accelerometer; give both sensors the same axes, "
@@ -93,13 +90,12 @@ def _order_of(start: FloatArray) -> str:
     signed = np.sign(np.where(np.abs(start) > 1e-6 * np.abs(start).max(), start, 0.0))
     if np.array_equal(signed, np.eye(3)):
         return ""
-    # Column k of C maps the gyroscope's axis k to the frame.
     places = np.argmax(np.abs(signed), axis=0)
     return ", ".join(f"{'-' if signed[i, k] < 0 else ''}{AXES[i]}" for k, i in enumerate(places))
 
 
 def unusable_turns(data: Triad, rests: RestMeans) -> list[str]:
-    """Return why each turn between rests cannot be used; an empty text if it can."""
+    """Return why each turn between rests cannot be used, or an empty text."""
     level = np.median(rests.means, axis=0)
     finite = [column[np.isfinite(column)] for column in data.samples.T]
     extremes = [(low, high) for low, high in ((c.min(), c.max()) for c in finite)]

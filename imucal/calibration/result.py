@@ -28,10 +28,9 @@ __all__ = ["AccelerometerResult", "Calibration", "GyroscopeResult", "Rest", "at_
 class Rest:
     """One rest.
 
-    `mean_accel` and `mean_gyro` (None without a gyroscope) are raw; `residual` is |f| - g after calibration,
-    `before` the same of the raw mean, and `sigma` the deviation of the residual, in m/s². `z` is the
-    difference of the halves that is furthest from 0, in deviations. `why` is the reason if the rest is not
-    used.
+    `mean_accel` and `mean_gyro` are raw; `residual` is |f| - g after calibration, `before` the same of the
+    raw mean, and `sigma` the deviation of the residual, in m/s². `z` is the largest difference of the halves,
+    in deviations. `why` is the reason if the rest is not used.
     """
 
     start_s: float
@@ -52,8 +51,7 @@ class AccelerometerResult(ReadOnlyArrays):
     """f = C (raw - b), raw = M f + b.
 
     `covariance`, shape (9, 9), is of the lower triangle of C by rows, then b; of the upper triangle by
-    columns in the frame ``imu-tk``. `diagonal_C` and `diagonal_b` are the best fit without misalignment. `p`
-    is NaN if nothing could be checked. `suggestion` is the rest that would help most.
+    columns in the frame ``imu-tk``. `diagonal_C` and `diagonal_b` are the best fit without misalignment.
     """
 
     C: FloatArray
@@ -79,9 +77,8 @@ class AccelerometerResult(ReadOnlyArrays):
 class GyroscopeResult(ReadOnlyArrays):
     """w = C (raw - b - G f), raw = M w + b + G f.
 
-    `covariance_C` is the covariance of C by rows, shape (9, 9). `G` is 0 unless it is significant;
-    `parameters` contain the estimate. `chi2`, `dof`, `p` and `widening` describe the turns. If no turn could
-    be used, `scaled` is false, C and M are the identity and the covariance is 0.
+    `covariance_C` is the covariance of C by rows, shape (9, 9). `G` is 0 unless it is significant. If no turn
+    could be used, `scaled` is false, C and M are the identity and the covariance is 0.
     """
 
     C: FloatArray
@@ -120,7 +117,6 @@ class Calibration(Displayed):
         The noise of each sensor, and its origin.
     """
 
-    #: Module of the text and the table that notebooks show.
     drawn_by: ClassVar[str] = "imucal.calibration.table"
 
     source: Source
@@ -178,7 +174,7 @@ class Calibration(Displayed):
 
 
 def at_other_times(data: Triad, values: FloatArray, other: Triad) -> FloatArray:
-    """Interpolate values of one sensor's samples, shape (n, 3), at the times of another's."""
+    """Interpolate values of one sensor's samples at the times of another's."""
     same = data.rate_hz == other.rate_hz and other.offset_s == 0 and len(values) == len(other.samples)
     if same and np.isfinite(values).all():
         return values

@@ -1,9 +1,8 @@
 """Slow noise between rests: how much more the means differ than the noise model, averaged over its size.
 
-The base covariance gets two terms: tau² for each rest and axis, and a random walk kappa. The likelihood of
-both is REML's, with half-Cauchy priors that scale with the base. An interval is a quantile of the mixture of
-normal distributions over a grid of (tau, kappa). Noise within short rests reveals neither flicker nor random
-walk over minutes, so it is never extrapolated.
+The base covariance gets two terms: tau² for each rest and axis, and a random walk kappa. Their likelihood is
+REML's, with half-Cauchy priors that scale with the base, on a grid. Noise within short rests does not reveal
+slower noise.
 
 Source: Patterson & Thompson (1971), Biometrika 58, 545 (REML); Gelman (2006), Bayesian Analysis 1, 515
 (half-Cauchy prior).
@@ -38,11 +37,11 @@ __all__ = [
     "walk_covariance",
 ]
 
-#: A base with a smaller p-value of its chi² is not used alone.
+#: P-value of chi² below which a base is not used alone.
 TRUSTED = 0.2
-#: Cells of the grid in each direction, and its ends in deviations of the base between rests.
+#: Cells of the grid in each direction, and its ends in deviations of the base.
 _CELLS, _GRID_ENDS = 10, (0.05, 60.0)
-#: Rounds of estimating the excess and fitting again at its most likely size.
+#: Rounds of estimating the excess and fitting again.
 _ROUNDS = 2
 _WALK = NoiseModel(terms=(TERMS["K"].of(1.0),))
 
@@ -57,17 +56,14 @@ class Mixture(ReadOnlyArrays):
 
     @classmethod
     def single(cls, mean: FloatArray, covariance: FloatArray) -> "Mixture":
-        """Return one normal distribution."""
         return cls(means=mean[None], covariances=covariance[None], weights=np.ones(1))
 
     @property
     def mean(self) -> FloatArray:
-        """Shape (p,)."""
         return np.asarray(self.weights @ self.means)
 
     @property
     def covariance(self) -> FloatArray:
-        """Shape (p, p)."""
         apart = self.means - self.mean
         within = np.einsum("k,kij->ij", self.weights, self.covariances)
         return np.asarray(within + np.einsum("k,ki,kj->ij", self.weights, apart, apart))
@@ -93,7 +89,7 @@ class Mixture(ReadOnlyArrays):
 class Excess:
     """Slow noise beyond the base: deviation `tau` of each rest and axis, and a random walk of `kappa` per √s.
 
-    `walk_share` is the share of the walk in the variance of both between rests.
+    `walk_share` is the walk's share of the variance.
     """
 
     tau: float = 0.0
@@ -115,7 +111,7 @@ class Spread:
 
 
 def walk_covariance(spans: IntArray, *, rate_hz: float, samples: int) -> FloatArray:
-    """Return `mean_covariance` of a random walk with K = 1, shape (m, m)."""
+    """Return `mean_covariance` of a random walk with K = 1."""
     return mean_covariance(_WALK, spans, rate_hz=rate_hz, samples=samples)
 
 
@@ -164,9 +160,8 @@ def mix(
 class AccelerometerEstimate(ReadOnlyArrays):
     """An accelerometer's parameters with their distribution.
 
-    `fit` is at the most likely slow noise. `mixture` is the distribution of the free parameters. `excess` is
-    zero if the base is trusted. `chi2`, `dof` and `p`, NaN without degrees of freedom, are of the base alone.
-    `covariances`, shape (3, m, m), of the means include the most likely slow noise.
+    `fit` is at the most likely slow noise. `covariances`, shape (3, m, m), of the means include the mean slow
+    noise. `excess` is zero if the base is trusted. `chi2`, `dof` and `p` are of the base alone.
     """
 
     fit: AccelerometerFit
@@ -179,14 +174,14 @@ class AccelerometerEstimate(ReadOnlyArrays):
 
     @property
     def theta(self) -> FloatArray:
-        """Mean of all nine parameters, shape (9,); the fit's value for fixed ones."""
+        """Mean of all nine parameters; the fit's value for fixed ones."""
         theta = self.fit.theta.copy()
         theta[self.fit.free] = self.mixture.mean
         return theta
 
     @property
     def covariance(self) -> FloatArray:
-        """Covariance of all nine parameters, shape (9, 9); zero for fixed ones."""
+        """Covariance of all nine parameters; zero for fixed ones."""
         full = np.zeros((9, 9))
         full[np.ix_(self.fit.free, self.fit.free)] = self.mixture.covariance
         return full
@@ -204,11 +199,9 @@ def estimate_accelerometer(
 ) -> AccelerometerEstimate:
     """Fit the accelerometer and, if the base does not explain the residuals, the slow noise.
 
-    `base`, shape (3, m, m), is the covariance of the raw `means`, shape (m, 3), by the noise model. `walk` is
-    the `walk_covariance` of the rests. If `checked`, `base` is a model of a long static log, used alone if
-    its chi² has p >= 0.2 or nothing can be checked; otherwise it is only the white noise within the rests.
-    `model` as in `fit_accelerometer`; the default is ``diagonal`` also if the slow noise hides misalignment.
-    Rests that do not determine bias and scale raise a DataError.
+    `base`, shape (3, m, m), is the covariance of the raw `means`, shape (m, 3). If `checked`, it is a model
+    of a long static log, used alone if its chi² has p >= 0.2 or nothing can be checked. Rests that do not
+    determine bias and scale raise a DataError.
     """
     fit_with = partial(fit_accelerometer, means, gravity=gravity, gravity_sigma=gravity_sigma)
     fit = first = fit_with(base, model=model)
@@ -220,7 +213,7 @@ def estimate_accelerometer(
         spread = Spread.of(base, walk)
         for _ in range(_ROUNDS):
             _, J, weights = derivatives(means, fit.C, fit.b)
-            # The rest of the covariance: unknown gravity and the misalignment that a diagonal model ignores.
+            # The rest of the covariance: unknown gravity and ignored misalignment.
             own = residual_covariance(weights, covariances)
             other = fit.residual_covariance - own
             walks = weights @ weights.T * walk
@@ -252,7 +245,6 @@ def estimate_accelerometer(
 
 
 def _between(covariance: FloatArray) -> float:
-    """Return the root mean square deviation of means from their own mean."""
     m = len(covariance)
     return math.sqrt(max(float(np.trace(covariance) - covariance.sum() / m) / max(m - 1, 1), 0.0))
 
@@ -263,7 +255,7 @@ def _excess(tau: float, kappa: float, spread: Spread) -> Excess:
 
 
 def _grid() -> tuple[FloatArray, FloatArray]:
-    """Return sizes relative to the base, from negligible to far above it, and their half-Cauchy weights."""
+    """Return sizes relative to the base, and their half-Cauchy weights."""
     edges = np.concatenate([[0.0], np.geomspace(*_GRID_ENDS, _CELLS - 1)])
     middles = np.concatenate([[edges[1] / 2], np.sqrt(edges[1:-1] * edges[2:]), [1.5 * edges[-1]]])
     below = np.concatenate([2 / math.pi * np.arctan(edges), [1.0]])

@@ -1,4 +1,4 @@
-"""The table of a calibration: the result in a few lines of text, for the terminal, notebooks and the page."""
+"""The table of a calibration for the terminal, notebooks and the page."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
@@ -29,15 +29,14 @@ _UNITS = {
 }
 #: Columns of the left half of a wide table, and of the name of a parameter.
 _HALF, _NAME = 39, 16
-#: Two blocks side by side need this many columns.
+#: Columns for two blocks side by side.
 _WIDE = 80
-#: Statuses that the table shows.
 _LISTED = ("weak",)
 
 
 @frozen
 class Row:
-    """One line of the table: a name, the value with its unit, half of its 95 % interval, and a remark."""
+    """One line of the table; `half` is half of the 95 % interval."""
 
     name: str
     value: str
@@ -83,7 +82,7 @@ def headline(found: Calibration) -> str:
 
 
 def remarks(found: Calibration) -> Iterator[str]:
-    """Yield the errors of |f| and of the turns before and after, and the rest that would help most."""
+    """Yield the errors before and after, and the rest that would help most."""
     used = [rest for rest in found.rests if rest.used]
     after = _rms(rest.residual for rest in used)
     if found.accelerometer.parameters["bias_x"].unit == "raw":
@@ -105,7 +104,7 @@ def remarks(found: Calibration) -> Iterator[str]:
 
 
 def table(found: Calibration, columns: int = _WIDE) -> str:
-    """Return the table of both sensors: side by side from 80 columns on, otherwise below each other."""
+    """Return the table of both sensors: side by side from 80 columns on."""
     wide = columns >= _WIDE
     each = _HALF if wide else columns
     blocks = [[f"{name.upper()} (± 95 %)", *_fitted(own, each)] for name, own in rows(found)]
@@ -128,7 +127,7 @@ def text_of(found: Calibration) -> str:
 
 
 def html_of(found: Calibration) -> Markup:
-    """Return the table as notebooks show it."""
+    """Return the table for notebooks."""
     body = [
         (f"{name} {row.name}", (row.value, row.half, row.remark)) for name, own in rows(found) for row in own
     ]
@@ -183,7 +182,6 @@ def _sensitivity(found: list[Parameter]) -> Row:
 
 
 def _rounded(value: float, half: float) -> tuple[str, str]:
-    """Return both with two digits of the half-width."""
     if not (math.isfinite(half) and half > 0):
         return f"{value:.6g}", f"{half:.2g}"
     places = max(0, 1 - math.floor(math.log10(half)))
@@ -191,7 +189,6 @@ def _rounded(value: float, half: float) -> tuple[str, str]:
 
 
 def _fitted(own: Iterable[Row], columns: int) -> Iterator[str]:
-    """Yield the rows, with the value on a line of its own where the row is too long."""
     for row in own:
         if len(line := row.text()) <= columns:
             yield line

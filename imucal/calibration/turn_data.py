@@ -15,7 +15,7 @@ __all__ = ["Headings", "Turn", "TurnData", "prepare_turns", "rotations", "start_
 
 #: Median residual in rad above which a start is useless.
 _LOST = 0.3
-#: Number of common scales to try, and of samples of the coarse turns for it.
+#: Number of common scales to try, and of samples of the coarse turns.
 _SCALES, _COARSE = 60, 40
 
 
@@ -43,8 +43,7 @@ class TurnData(ReadOnlyArrays):
 
     `rates`, shape (t, n, 3), are raw minus bias and g-sensitivity, 0 beyond a turn's end. `spans`, shape (t,
     2), are first sample and end. `share`, shape (t, n), is the weight of the later rest in the interpolated
-    bias. `rests`, shape (t,), are indices of the rest before each turn. `up`, shape (m, 3), are unit vectors
-    of the specific force.
+    bias. `rests`, shape (t,), are indices of the rest before each turn. `up` has shape (m, 3).
     """
 
     rates: FloatArray
@@ -71,10 +70,9 @@ def prepare_turns(
     which: IntArray,
     g_parts: tuple[FloatArray, FloatArray] | None = None,
 ) -> TurnData:
-    """Return the turns after the rests `which` as arrays; `data` is finite inside the turns.
+    """Return the turns after the rests `which` as arrays.
 
-    `up`, shape (m, 3), are unit vectors of the specific force at the rests. `g_parts` are G f at each sample
-    and rest, shapes (n, 3) and (m, 3), by default 0.
+    `g_parts` are G f at each sample and rest, shapes (n, 3) and (m, 3), by default 0.
     """
     first, end = rests.spans[which, 1], rests.spans[which + 1, 0]
     index = first[:, None] + np.arange(int((end - first).max()))
@@ -106,7 +104,7 @@ def start_of(data: TurnData) -> FloatArray:
         return identity
     whole = np.linalg.norm(coarse.rates.sum(axis=1), axis=1) * coarse.tau0
     angle = np.arccos(np.clip(np.einsum("ti,ti->t", data.up[data.rests], data.up[data.rests + 1]), -1, 1))
-    # A turn about the vertical adds to the gyroscope's angle only: the ratio is a lower limit of the scale.
+    # A turn about the vertical has no angle here: the ratio is a lower limit of the scale.
     lowest = np.median(angle / np.maximum(whole, 1e-12))
     best, least = identity, math.inf
     for turned in _orders():
@@ -127,8 +125,8 @@ def start_of(data: TurnData) -> FloatArray:
 class Headings(ReadOnlyArrays):
     """A horizontal vector that is fixed to the earth, at m rests; its heading at the first one is unknown.
 
-    `ahead` and `aside` are two such vectors at right angles in the frame of the IMU, shape (m, 3). Turns
-    carry them along. After a missing turn the heading is unknown again, and another `chain` begins.
+    `ahead` and `aside`, shape (m, 3), are two such vectors at right angles. After a missing turn another
+    `chain` begins.
     """
 
     ahead: FloatArray
@@ -137,7 +135,6 @@ class Headings(ReadOnlyArrays):
 
     @classmethod
     def of(cls, data: TurnData, C: FloatArray) -> "Headings":
-        """Return the headings by the turns and a gyroscope's matrix."""
         turned = dict(zip(data.rests.tolist(), _whole(_coarse(data), C), strict=True))
         ahead, chain = np.empty_like(data.up), np.zeros(len(data.up), dtype=np.int64)
         for k, up in enumerate(data.up):
@@ -168,7 +165,6 @@ def rotations(vectors: FloatArray) -> FloatArray:
 
 
 def _orders() -> list[FloatArray]:
-    """Return the 48 signed permutations of the axes, the identity first."""
     return [
         np.diag(np.array(signs)) @ np.eye(3)[list(order)]
         for order in permutations(range(3))
@@ -183,7 +179,7 @@ def _misfit(data: TurnData, C: FloatArray) -> float:
 
 
 def _whole(data: TurnData, C: FloatArray) -> FloatArray:
-    """Return the rotation of the earth's vectors in the frame of the IMU by each turn, shape (t, 3, 3)."""
+    """Return the rotation of the earth's vectors by each turn, shape (t, 3, 3)."""
     steps = rotations(-data.tau0 * data.rates @ C.T)
     whole = np.broadcast_to(np.eye(3), (len(steps), 3, 3))
     for k in range(steps.shape[1]):

@@ -1,8 +1,7 @@
 """Gyroscope scale and misalignment from the direction of gravity before and after each turn.
 
 The gyroscope, with C_g, carries the direction of gravity from one rest to the next; the accelerometer shows
-where it ends. Two components of the difference are the residuals. Their covariance includes the gyroscope's
-noise, the two bias estimates, and the error of both directions.
+where it ends. Two components of the difference are the residuals.
 """
 
 import math
@@ -23,13 +22,13 @@ from imucal.noise import NoiseModel
 
 __all__ = ["GyroNoise", "TurnsFit", "direction_covariance", "fit_turns"]
 
-#: Limits of Gauss-Newton: number of steps, steps that compute the covariance, last step in deviations.
+#: Limits of Gauss-Newton: steps, steps that compute the covariance, last step in deviations.
 _STEPS, _UPDATES, _SMALL_STEP = 15, (0, 2), 1e-4
-#: Blocks of a turn whose weights on the gyroscope's noise are constant.
+#: Blocks of a turn with constant weights on the noise.
 _BLOCKS = 8
-#: A turn is wrong if its studentised residual has a smaller p-value; at most this share is excluded.
+#: P-value of a wrong turn's studentised residual; largest share of excluded turns.
 _WRONG, _MOST_WRONG = 1e-4, 0.2
-#: Below this p-value of chi² the intervals are widened.
+#: P-value of chi² below which the intervals are widened.
 _MISFIT = 0.05
 
 
@@ -37,8 +36,8 @@ _MISFIT = 0.05
 class GyroNoise(ReadOnlyArrays):
     """Noise of the three axes: models, and further deviation `tau` of each rest's mean, shape (3,).
 
-    `rest_spans` has shape (m, 2); `samples` is the length of the log. `horizontal` is the deviation of both
-    components of the earth's horizontal rate, in rad/s; it is ignored without `headings`.
+    `samples` is the length of the log. `horizontal` is the deviation of each component of the earth's
+    horizontal rate, in rad/s.
     """
 
     models: tuple[NoiseModel, ...]
@@ -53,11 +52,10 @@ class GyroNoise(ReadOnlyArrays):
 class TurnsFit(ReadOnlyArrays):
     """Scale and misalignment of a gyroscope: w = C (raw - b - G f).
 
-    `covariance` of C by rows, shape (9, 9), includes `widening`, which is above 1 if p_fit < 0.05.
-    `by_directions`, shape (9, 3m), are the derivatives of C in the unit vectors at the rests. `quantile` is
-    the half-width of a 95 % interval in deviations. `residual` and `before`, shape (t, 2), are angles in rad
-    between the carried and the measured direction with C and with the start. `p`, shape (t,), is the p-value
-    of each turn's studentised residual when it was judged. `chi2` and `dof` are of the `used` turns.
+    `covariance` of C by rows, shape (9, 9), includes `widening`. `by_directions`, shape (9, 3m), are the
+    derivatives of C in the unit vectors at the rests. `quantile` is the half-width of a 95 % interval in
+    deviations. `residual` and `before`, shape (t, 2), are angles in rad between the carried and the measured
+    direction with C and with the start. `chi2` and `dof` are of the `used` turns.
     """
 
     C: FloatArray
@@ -85,8 +83,8 @@ class TurnsFit(ReadOnlyArrays):
 class _Carried(ReadOnlyArrays):
     """Gravity carried along the turns.
 
-    Residuals (t, 2), their derivatives in C (2t, 9), rotations over the turn (t, 3, 3) and to its end (t, n,
-    3, 3), tangents (t, 2, 3) and their products with the carried direction (t, 2, 3).
+    Residuals (t, 2), their derivatives in C (2t, 9), rotations over the turn (t, 3, 3) and to its end
+    (t, n, 3, 3), tangents (t, 2, 3) and their products with the carried direction (t, 2, 3).
     """
 
     residual: FloatArray
@@ -100,8 +98,7 @@ class _Carried(ReadOnlyArrays):
 def fit_turns(data: TurnData, noise: GyroNoise, directions: FloatArray) -> TurnsFit:
     """Fit C to the turns, and exclude wrong turns one after the other.
 
-    `directions` is the result of `direction_covariance`. A DataError is raised if no scale or orientation of
-    the gyroscope explains the turns.
+    A DataError is raised if no scale or orientation of the gyroscope explains the turns.
     """
     start = start_of(data)
     used = np.ones(len(data.rests), dtype=np.bool_)
@@ -150,8 +147,8 @@ def direction_covariance(
     """Return the covariance of the unit vectors of the specific force, by rest, shape (3m, 3m).
 
     The noise of the raw `means` moves a direction itself, and through C and b; so do misalignments that a
-    diagonal model ignores. `covariances`, shape (3, m, m), are of the means.
-    `slopes`, shape (3, 3, 6), are derivatives of C in its lower triangle; another frame's add its rotation.
+    diagonal model ignores. `covariances`, shape (3, m, m), are of the means. `slopes`, shape (3, 3, 6), are
+    derivatives of C in its lower triangle.
     """
     m = len(means)
     up = fit.up
@@ -213,7 +210,6 @@ def _gauss_newton(
 
 
 def _whitened(carried: _Carried, S: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return whitened derivatives and residuals, and the length of the derivatives' columns."""
     L = np.linalg.cholesky(S)
     Jw = solve_triangular(L, carried.J, lower=True)
     rw = solve_triangular(L, carried.residual.ravel(), lower=True)
@@ -224,7 +220,6 @@ def _whitened(carried: _Carried, S: FloatArray) -> tuple[FloatArray, FloatArray,
 def _covariance(
     data: TurnData, carried: _Carried, noise: GyroNoise, directions: FloatArray, C: FloatArray
 ) -> FloatArray:
-    """Return the covariance of the residuals, shape (2t, 2t)."""
     t, m = len(data.rests), len(data.up)
     spans, rows = [], []
     for k, (first, end) in enumerate(data.spans):
@@ -256,16 +251,13 @@ def _covariance(
 
 
 def _by_earth(data: TurnData, carried: _Carried, headings: Headings) -> FloatArray:
-    """Return the covariance of the residuals, shape (2t, 2t), by a horizontal rate with components of 1.
-
-    The bias between two rests contains the rate at both: only its change within the turn has an effect.
-    """
+    """Return the covariance of the residuals by a horizontal rate with components of 1."""
     E = np.empty((2, 2 * len(data.rests)))
     for which, ahead in enumerate((headings.ahead, headings.aside)):
         first, last = ahead[data.rests], ahead[data.rests + 1]
         end = np.einsum("tij,tj->ti", carried.whole, first)
         bias = first[:, None] + data.share[..., None] * (last - first)[:, None]
-        # Beyond the end of a turn nothing is integrated.
+        # Nothing is integrated beyond a turn's end.
         live = np.arange(data.share.shape[1]) < np.diff(data.spans)
         seen = end[:, None] - np.einsum("tnij,tnj->tni", carried.to_end, bias)
         E[which] = np.einsum("tci,tni,tn->tc", carried.lever, seen, live * data.tau0).ravel()
@@ -284,14 +276,14 @@ def _by_directions(data: TurnData, carried: _Carried) -> FloatArray:
 
 
 def _studentised(carried: _Carried, S: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return the studentised square of each turn's residual, shape (t,): chi² with 2 degrees of freedom."""
+    """Return the studentised square of each turn's residual: chi² with 2 degrees of freedom."""
     inverse = np.linalg.inv(S)
     SJ = inverse @ carried.J
     P = inverse - SJ @ covariance @ SJ.T
     t = len(carried.residual)
     q = (P @ carried.residual.ravel()).reshape(t, 2)
     own = _blocks(P)
-    # A turn that alone determines a parameter has no residual to judge.
+    # A turn that alone determines a parameter has no residual.
     judged = np.linalg.det(own) > 1e-6 * np.linalg.det(_blocks(np.asarray(inverse, dtype=np.float64)))
     found = np.zeros(t)
     solved = np.linalg.solve(own[judged], q[judged, :, None])[..., 0]
@@ -300,6 +292,5 @@ def _studentised(carried: _Carried, S: FloatArray, covariance: FloatArray) -> Fl
 
 
 def _blocks(S: FloatArray) -> FloatArray:
-    """Return the 2 by 2 blocks on the diagonal, shape (t, 2, 2)."""
     t = len(S) // 2
     return np.asarray(S.reshape(t, 2, t, 2)[np.arange(t), :, np.arange(t)])

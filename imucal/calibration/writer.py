@@ -1,4 +1,4 @@
-"""The folder of a calibration: calibration.json, pictures, a page, and the noise report it was made with."""
+"""The folder of a calibration: calibration.json, pictures, a page, and the noise report."""
 
 import re
 from pathlib import Path
@@ -12,7 +12,7 @@ from imucal.report.result import Report
 
 __all__ = ["NOISE_NAME", "PAGE_NAME", "check_folder", "is_calibration", "write_calibration"]
 
-#: Copy of the noise report; exports write its numbers next to the intrinsics.
+#: Copy of the noise report for exports.
 NOISE_NAME = "noise.json"
 PAGE_NAME, PICTURES = "calibration.html", ("rests.png", "attitudes.png", "turns.png")
 _OWN = re.compile("|".join(map(re.escape, (FILE_NAME, NOISE_NAME, PAGE_NAME, *PICTURES))))
@@ -42,13 +42,9 @@ def write_calibration(
 ) -> tuple[Path, ...]:
     """Write the folder `out`; return its files, calibration.json first.
 
-    A calibration that is there is replaced, other files are kept. A copy of the report `noise` is kept for
-    exports. If `html`, calibration.html and the three pictures are written too.
-
-    Raises
-    ------
-    WriteError
-        If the folder can't be written, or contains something other than a calibration.
+    A calibration that is there is replaced, other files are kept. If `html`, a page and pictures are written
+    too. A WriteError is raised if the folder can't be written, or contains something other than a
+    calibration.
     """
     folder = _folder(out)
     folder.refuse_foreign()

@@ -1,7 +1,7 @@
 """Bins: the data from which the likelihood of one axis can be evaluated again without the samples.
 
-`pack` stores them in a few kilobytes, in single precision. It subtracts the regressors first, with
-coefficients that are stored exactly: otherwise the rounding of a strong trend would exceed the noise.
+`pack` stores them in single precision. It subtracts the regressors first: otherwise the rounding of a strong
+trend would exceed the noise.
 """
 
 import io
@@ -26,13 +26,12 @@ class Bins(ReadOnlyArrays):
 
     The samples form k unbroken blocks of lengths `n`, shape (k,), whose bins follow each other; `start`,
     shape (k,), is the index of each block's first bin. A bin begins with the ordinate `first`, shape (b,),
-    and ends where the next bin of its block begins. It has `size` degrees of freedom and `power`, the sum of
-    its squared ordinates in units of `scale`².
+    and ends where the next bin begins. It has `size` degrees of freedom and `power`, the sum of its squared
+    ordinates in units of `scale`².
 
     `names` are the regressors: ``R``, then the shapes that the fit took out. `cross`, shape (r, b), are sums
     of ordinate times regressor's ordinate, and `gram`, shape (r, r, b), of regressors' products. `scale` is U
-    per scaled unit, a power of two and so exact. `widening` is the factor by which heavy tails widen N's
-    interval.
+    per scaled unit. `widening` is the factor by which heavy tails widen N's interval.
     """
 
     n: IntArray
@@ -65,9 +64,9 @@ class Bins(ReadOnlyArrays):
 
 #: Version of the packed format, its first byte.
 PACKED_VERSION = 2
-#: Rounds of weighted least squares for the reference; number of bins averaged for a weight.
+#: Rounds of weighted least squares for the reference; bins averaged for a weight.
 _ROUNDS, _SMOOTH = 4, 9
-#: Versions of both formats; numbers of blocks, regressors, bins, bytes of names; scale, tau0, widening.
+#: Versions; numbers of blocks, regressors, bins, bytes of names; scale, tau0, widening.
 _HEAD = struct.Struct("<BBHHIIddd")
 
 

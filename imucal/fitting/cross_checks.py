@@ -2,12 +2,10 @@
 
 `second_opinion` is Hausman's test of a maximum-likelihood fit against the fit of the Allan curve. If the
 model is right, the variance of the difference of both estimates is the difference of their variances, because
-the maximum-likelihood fit is efficient. If it is wrong, they weigh frequencies differently and disagree.
+the maximum-likelihood fit is efficient.
 
-`ambiguity_findings` reports a wrong spectrum that the Allan curve hides. With D(tau) = integral of S(f)
-sin^2(pi f tau)/f^2 df the Allan variance is proportional to (D(tau) - D(2 tau)/4)/tau^2, and the second part
-equals the first with S(f/2)/2 in place of S(f). So the curve depends only on S(f) - S(f/2)/2. A function
-Phi(f) = 2 Phi(2f) whose integral over an octave is zero does not change it.
+`ambiguity_findings` reports a wrong spectrum that the Allan curve hides: the curve depends only on
+S(f) - S(f/2)/2, so a function Phi(f) = 2 Phi(2f) whose integral over an octave is zero does not change it.
 
 Source: Hausman (1978), "Specification tests in econometrics", Econometrica 46, 1251, eq. (2.7); Greenhall
 (1998), "Spectral ambiguity of Allan variance", IEEE Trans. Instrum. Meas. 47, 623.
@@ -28,21 +26,20 @@ from imucal.fitting.settings import FitSettings
 from imucal.noise.terms import TERMS
 from imucal.recording import AxisSeries
 
-#: Standard deviations beyond which a disagreement of two estimates is reported.
+#: Standard deviations from which a disagreement is reported.
 _DISAGREEMENT = 3.0
-#: Lower limit of a difference's relative standard deviation: smaller ones do not matter.
+#: Lower limit of a difference's relative standard deviation.
 _MIN_RELATIVE_DEVIATION = 1 / 300
 #: Terms of short averaging times, where an output filter changes the curve.
 _OF_SHORT_TIMES = {"Q", "N"}
-#: Lower limit of the difference's variance, relative to the second fit's: both are estimates.
+#: Lower limit of the difference's variance, relative to the second fit's.
 _MIN_VARIANCE_RATIO = 0.25
 
 
 def second_opinion(mle: NoiseFit, gmwm: NoiseFit) -> tuple[Finding, ...]:
     """Return a finding for each term on which two fits of one axis disagree.
 
-    Two estimates are compared on a logarithmic scale, a bound and an estimate by their limits. Q and N are
-    not compared behind an output filter, which the curve still contains.
+    Q and N are not compared behind an output filter, which the curve still contains.
     """
     findings = []
     filtered = any(finding.code == "output-filter" for finding in mle.findings)
@@ -62,7 +59,7 @@ def second_opinion(mle: NoiseFit, gmwm: NoiseFit) -> tuple[Finding, ...]:
 
 
 def _distance(mle: NoiseFit, gmwm: NoiseFit, first: Estimate, second: Estimate) -> float:
-    """Return how far apart two estimates are, in standard deviations; 0 if they can't be compared."""
+    """Return how far apart two estimates are, in standard deviations."""
     if first.value is None or second.value is None:
         apart = first.low > second.high or second.low > first.high
         return math.inf if apart else 0.0
@@ -87,17 +84,15 @@ def _value(estimate: Estimate) -> str:
     return f"{estimate.value:.4g} ({estimate.low:.4g} to {estimate.high:.4g})"
 
 
-#: Smallest ratio of the noise's to the curve's variance at a used point; its inverse is the largest.
+#: Smallest ratio of the noise's to the curve's variance at a used point.
 _MIN_NOISE_RATIO = 2 / 3
-#: Fewest points of a curve to fit.
 _MIN_POINTS = 4
 
 
 def fit_of_curve(series: AxisSeries, first: NoiseFit, temperature: FloatArray | None = None) -> NoiseFit:
     """Return the GMWM fit of `first`'s model to the curve of the noise that `first` described.
 
-    Shapes, lines and filter are removed: both fits must describe the same noise. A DataError is raised if
-    too few averaging times show the noise, or if the curve can't be fitted.
+    A DataError is raised if too few averaging times show the noise, or if the curve can't be fitted.
     """
     from imucal.fitting.moments import fit_gmwm
 
@@ -135,7 +130,7 @@ def without_disturbances(
 
 #: Lowest ordinates, which drift and the ends of the record distort.
 _LOWEST = 8
-#: Score of all bins together from which the spectrum contradicts the model.
+#: Score from which the spectrum contradicts the model.
 _CONTRADICTED = 5.0
 #: A bin is far from the model by this many deviations and this factor; fewer far bins are a line.
 _HIDDEN, _NOTABLE, _MIN_BINS = 3.0, 1.3, 3
@@ -157,8 +152,6 @@ def unseen_spectrum() -> Finding:
 def ambiguity_findings(result: NoiseFit, spectrum: Spectrum, axis: str) -> tuple[Finding, ...]:
     """Return a finding if a fit describes the Allan curve but not the spectrum of the samples.
 
-    Fits of the spectrum, and fits that do not describe the curve either, have their own findings.
-
     Source: Wilson & Hilferty (1931), PNAS 17, 684 (standard-normal scores).
     """
     tau = result.goodness.tau_s
@@ -168,14 +161,14 @@ def ambiguity_findings(result: NoiseFit, spectrum: Spectrum, axis: str) -> tuple
     used = np.arange(spectrum.frequency.size) >= _LOWEST
     used &= spectrum.frequency <= 0.5 / tau[0]
     density = result.model.psd(spectrum.frequency, rate_hz=result.rate_hz)
-    # A ramp has no density; leave out frequencies where its upper bound matters.
+    # A ramp has no density.
     tau0 = 1 / result.rate_hz
     slope = sum(term.coefficient * tau0 for term in result.model.terms if term.symbol == "R")
     sine = np.sin(np.pi * spectrum.frequency * tau0)
     used &= tau0 * slope**2 / (2 * result.curve.n * sine**4) < _TOLERANCE * density
     frequency, count = spectrum.frequency[used], spectrum.count[used]
     ratio = spectrum.psd[used] / density[used]
-    # Scores of chi-squared means over their expectation, after a tolerance.
+    # Scores of chi-squared means, after a tolerance.
     variance = 2 / (9 * count)
     within = np.clip(ratio, math.exp(-_TOLERANCE), math.exp(_TOLERANCE))
     score = (np.cbrt(ratio / within) - (1 - variance)) / np.sqrt(variance)

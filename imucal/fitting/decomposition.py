@@ -14,7 +14,7 @@ from imucal.recording import AxisSeries
 
 #: Largest relative difference of the rates of samples and model.
 _SAME_RATE = 0.01
-#: Largest number of places on the clock's grid per sample.
+#: Largest number of places on the grid per sample.
 _SPARSE = 20
 
 
@@ -27,7 +27,7 @@ class Decomposition(ReadOnlyArrays):
     series
         The samples as they were given.
     start_s
-        Time of the first place, the first good sample, since the series' first sample, in s.
+        Time of the first good sample since the series' first sample, in s.
     samples
         On the grid, shape (n,), in U; NaN for missing samples and spikes.
     components
@@ -73,14 +73,14 @@ def decompose(
 ) -> Decomposition:
     """Return the smoothed components of a record's noise model: how its bias moved.
 
-    Each component is its mean given the model and all samples, before and after. The standard errors assume
-    that the model is true. White noise N and quantization noise Q are in the residual. A ramp R is estimated
-    again. The level is part of the random walk K, or a component of its own in a model without K.
+    The standard errors assume that the model is true. White noise N and quantization noise Q are in the
+    residual. A ramp R is estimated again. The level is part of the random walk K, or a component of its own
+    in a model without K.
 
     Parameters
     ----------
     series
-        The samples; gaps are bridged, and the standard errors include the missing samples.
+        The samples; the standard errors include the missing ones.
     fit
         A fit of the samples, or a model. An output filter, lines, a warm-up, steps, cycles or the effect of
         temperature are not in the model: slow ones appear in the bias.

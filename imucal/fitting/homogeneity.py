@@ -1,17 +1,16 @@
 """Tests of stationarity, and wider intervals for records that are not stationary.
 
-The likelihood's interval assumes one stationary process, but users read it as a prediction of the next
-record. If the segments of a record differ by more than chance, the interval is widened by the Birge ratio
-sqrt(Q/dof). A misfit of the spectrum also widens it; the larger factor counts, because changing noise is one
-cause of a misfit.
+If the segments of a record differ by more than chance, the interval is widened by the Birge ratio
+sqrt(Q/dof), because users read it as a prediction of the next record. A misfit of the spectrum also widens
+it; the larger factor counts.
 
-Noise may change faster than the segments show. For stationary noise, the mean squares of the samples' steps
-in neighbouring short windows differ as much as in distant ones. If they differ less, the variance changes.
+Noise may change faster than the segments show. If the mean squares of the samples' steps in neighbouring
+short windows differ less than in distant ones, the variance changes.
 
 Sources: Cochran (1954), Biometrics 10, 101 (Q); Birge (1932), Physical Review 40, 207 (the ratio);
 DerSimonian & Laird (1986), Controlled Clinical Trials 7, 177 (the spread between segments); Bartlett (1937),
 Proc. R. Soc. A 160, 268, eq. (16) ff. (small samples); von Neumann (1941), Annals of Mathematical Statistics
-12, 367 (the ratio of the mean square successive difference to the variance).
+12, 367.
 """
 
 import math
@@ -29,24 +28,21 @@ from imucal.recording import AxisSeries
 
 #: Largest and least number of windows, least number of samples of a window.
 _MAX_WINDOWS, _MIN_WINDOWS, _MIN_WINDOW_SAMPLES = 1024, 24, 128
-#: Steps squared at a time, to stay in the cache.
 _PART = 1 << 16
 #: Score of von Neumann's ratio from which the variance changes.
 _SCORE = 5.0
-#: Least relative standard deviation of the noise that is reported.
+#: Least relative standard deviation that is reported.
 _NOTABLE_CHANGE = 0.1
-#: Share of the variance in one period that makes a change periodic.
+#: Share of the variance that makes a change periodic.
 _PERIODIC = 0.5
-#: Ratio of lower limit to value below which a slow term's interval is symmetric and widened linearly; others
-#: are widened in logarithms.
+#: Ratio of lower limit to value below which a slow term's interval is widened linearly, not in logarithms.
 _NARROW = 0.8
 #: Lower limits below this share of the upper limit count as zero.
 NEGLIGIBLE = 0.02
-#: Units of time: upper limit and size in s, and name; hours beyond.
 _UNITS = ((120.0, 1.0, "s"), (7200.0, 60.0, "min"))
 #: Standard error of a log below which a single segment determines a term.
 SURE = 0.1
-#: Share of Q that a single shift explains: a steady trend over eight segments leaves 17 %.
+#: Share of Q that a single shift explains.
 _ONE_SHIFT = 0.85
 #: Relative spread between segments from which the finding is a warning.
 _NOTABLE_SPREAD = 0.05
@@ -67,10 +63,7 @@ class VarianceChange:
 
 
 def find_variance_change(series: AxisSeries) -> VarianceChange | None:
-    """Return the change of the variance of an axis's steps, or None if it is small or due to chance.
-
-    Steps across gaps count too. O(n).
-    """
+    """Return the change of the variance of an axis's steps, or None if it is small or due to chance."""
     count = min(_MAX_WINDOWS, (series.n - 1) // _MIN_WINDOW_SAMPLES)
     if count < _MIN_WINDOWS:
         return None
@@ -106,7 +99,7 @@ def find_variance_change(series: AxisSeries) -> VarianceChange | None:
 
 
 def _period(logs: FloatArray, duration_s: float) -> float | None:
-    """Return the period that explains most of the logs' variance, if the record contains several."""
+    """Return the period that explains most of the logs' variance, if there are several."""
     power = np.square(np.abs(np.fft.rfft(logs)))[1:]
     near = np.convolve(power, np.ones(3), "same")
     top = int(np.argmax(near))
@@ -120,10 +113,7 @@ def _period(logs: FloatArray, duration_s: float) -> float | None:
 def homogeneity(
     key: str, statistic: float, logs: FloatArray, weight: FloatArray, spans: FloatArray
 ) -> TermHomogeneity:
-    """Return the homogeneity of a term from its `statistic` Q and its log coefficients in s segments.
-
-    `logs` and `weight`, their inverse variances, have shape (s,); `spans`, shape (s, 2), are start and end.
-    """
+    """Return the homogeneity of a term from its `statistic` Q and its log coefficients in s segments."""
     dof = logs.size - 1
     p_value = float(scipy.special.chdtrc(dof, max(statistic, 0.0)))
     scale = float(weight.sum() - np.square(weight).sum() / weight.sum())
@@ -144,10 +134,7 @@ def homogeneity(
 
 
 def _shift(logs: FloatArray, weight: FloatArray, spans: FloatArray) -> tuple[float, float] | None:
-    """Return time, in s, and factor of a coefficient's single change; None if it changes otherwise.
-
-    The segment of the change contains both levels; all before it, and all after it, must agree within chance.
-    """
+    """Return time, in s, and factor of a coefficient's single change; None if it changes otherwise."""
     whole, best = cochran_q(logs, weight), (math.inf, 0)
     for at in range(1, logs.size - 1):
         before, after = slice(at), slice(at + 1, None)
@@ -180,8 +167,8 @@ def cochran_q(logs: FloatArray, weight: FloatArray) -> float:
 def bartlett_correction(information: FloatArray) -> float:
     """Return the mean of the likelihood ratio's test of equal variances, divided by its degrees of freedom.
 
-    `information`, shape (s,), on the log of each variance is half its degrees of freedom. At least one is
-    assumed, because the correction is an expansion.
+    `information`, shape (s,), on the log of each variance is half its degrees of freedom; at least one is
+    assumed.
     """
     freedom = np.maximum(2 * information, 1.0)
     part = float(np.sum(1 / freedom)) - 1 / float(freedom.sum())
@@ -193,7 +180,7 @@ def widened(
 ) -> tuple[Estimate, ...]:
     """Return the estimates with intervals widened for differing segments and a misfit.
 
-    A slow term whose interval then reaches down to zero is bounded. `misfits` maps symbols to factors.
+    A slow term whose interval then reaches down to zero is bounded.
     """
     return tuple(_wider(estimate, _factor(estimate.symbol, segments, misfits)) for estimate in estimates)
 
@@ -282,7 +269,7 @@ def _wider(estimate: Estimate, factor: float) -> Estimate:
 
 
 def _stretched(value: float, end: float, factor: float) -> float:
-    """Return a limit `factor` times as far from its value in logarithms; infinite on overflow."""
+    """Return a limit `factor` times as far from its value in logarithms."""
     with np.errstate(over="ignore"):
         return float(value * np.power(np.float64(end / value), factor))
 

@@ -1,4 +1,4 @@
-"""NoiseFit: the noise model of an axis with intervals; Segments: changes of the noise within a record."""
+"""NoiseFit: the noise model of an axis with intervals; Segments: changes within a record."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -40,7 +40,7 @@ _K = TypeVar("_K", bound=_Keyed)
 
 
 def keyed(parts: Iterable[_K], key: str, whole: str) -> _K:
-    """Return the part with a key; otherwise raise a KeyError that lists the keys of `whole`."""
+    """Return the part with a key, or raise a KeyError."""
     found = {part.key: part for part in parts}
     if key not in found:
         raise MissingError(f"no term {key!r}; {whole} {', '.join(found)}")
@@ -53,9 +53,8 @@ class TermHomogeneity:
 
     `statistic` is chi-squared with `dof` degrees of freedom if the term is the same in all segments. `spread`
     is the relative standard deviation of the coefficient in excess of chance. `factor` is the Birge ratio
-    sqrt(statistic/dof), 1 if chance explains it. `highest_s` and `lowest_s` are start and end, in s from the
-    first sample, of the segments with the extreme coefficients. `shift` is the time, in s, and the factor of
-    a single lasting change; the report's JSON contains it only in the text of the finding.
+    sqrt(statistic/dof), 1 if chance explains it. `highest_s` and `lowest_s` are start and end, in s, of the
+    segments with the extreme coefficients. `shift` is the time, in s, and the factor of a single change.
     """
 
     key: str
@@ -83,9 +82,8 @@ class Trace(ReadOnlyArrays):
 class Segments(ReadOnlyArrays):
     """The noise of a record in segments.
 
-    `start_s` and `end_s`, shape (s,), are in s from the first sample. `white` is N, None if the fit has none.
-    `floor` is the model's Allan deviation at `floor_tau_s`, the time of the lowest deviation or a quarter of
-    a segment; None and NaN without slow noise. `terms` has one entry per tested term.
+    `start_s` and `end_s`, shape (s,), are in s from the first sample. `white` is N. `floor` is the model's
+    Allan deviation at `floor_tau_s`; None and NaN without slow noise.
     """
 
     start_s: FloatArray
@@ -104,7 +102,7 @@ class Segments(ReadOnlyArrays):
         return tuple(sorted((t for t in self.terms if t.factor > 1), key=lambda t: -t.factor))
 
     def widening(self, symbol: str) -> float:
-        """Return the factor that widens the intervals of a term; slow terms share the largest of theirs."""
+        """Return the factor that widens the intervals of a term; slow terms share the largest one."""
         slow = is_slow(symbol)
         alike = (t for t in self.terms if t.symbol == symbol or (slow and is_slow(t.symbol)))
         return max((term.factor for term in alike), default=1.0)
@@ -138,18 +136,15 @@ class Estimate:
 
     `key` is the `symbol`, such as ``K``; several Gauss-Markov terms are ``GM1``, ``GM2``, by rising T.
     `value`, `low` and `high` are the coefficient (sigma for GM) in SI and its limits. If the data do not show
-    the term, `status` is ``bounded``, `value` None, `low` 0 and `high` the upper bound. `correlation_time` is
-    T, in s. `alternatives` are symbols of terms that the record can't distinguish from this one.
+    the term, `value` is None, `low` 0 and `high` the upper bound. `correlation_time` is T, in s.
+    `alternatives` are symbols of terms that the record can't distinguish from this one.
 
     `drawn` is the coefficient in the fit's model, None if the model has no such term. A bounded term is in
-    the model if the model without it would be less likely. An estimate with a value but without `drawn`
-    describes the noise of other terms, such as the walk of a slow Gauss-Markov term at short times. The
-    `NoiseFit` sets `drawn` and `sensor`.
+    the model if the model without it would be less likely. The `NoiseFit` sets `drawn` and `sensor`.
 
-    `horizon_s` is the longest time for which the coefficient is valid: a walk that may be a Gauss-Markov term
-    is valid up to the lower limit of its T. `widening` is the factor by which the interval is wider than the
-    likelihood's, because segments differ or the model does not fit. `origin` describes a number that is not
-    an estimate of one record, such as a bound over many units.
+    `horizon_s` is the longest time for which the coefficient is valid. `widening` is the factor by which the
+    interval is wider than the likelihood's. `origin` describes a number that is not an estimate of one
+    record.
     """
 
     key: str
@@ -177,7 +172,7 @@ class Estimate:
         Parameters
         ----------
         unit
-            A unit of this term, such as ``deg/sqrt(h)`` or ``ug/sqrt(Hz)``; by default the data sheets' unit.
+            A unit of this term, such as ``deg/sqrt(h)``; by default the data sheets' unit.
 
         Raises
         ------
@@ -196,12 +191,12 @@ class Estimate:
         return InUnits(value=value, low=self.low / factor, high=self.high / factor, unit=name)
 
     def term(self, coefficient: float) -> NoiseTerm:
-        """Return the term with this coefficient, in SI, and the estimate's correlation time."""
+        """Return the term with this coefficient, in SI."""
         time = self.correlation_time
         return TERMS[self.symbol].of(coefficient, *([time.value] if time else []))
 
     def slopes(self) -> dict[str, float]:
-        """Return each parameter's derivative in its log variance or log time, by its name in a fit."""
+        """Return each parameter's derivative in its log variance or log time, by its name."""
         times = [self.correlation_time.value] if self.correlation_time else []
         names = TERMS[self.symbol].parameter_names(self.key)
         return dict(zip(names, [0.5 * (self.value or 0.0), *times], strict=True))
@@ -221,7 +216,7 @@ class Line:
 
 @frozen
 class Response:
-    """The output filter that the fit found: kind (``one-pole``, ``butterworth-2`` …), -3 dB corner in Hz."""
+    """The output filter: kind (``one-pole``, ``butterworth-2`` …), -3 dB corner in Hz."""
 
     kind: str
     cutoff_hz: float
@@ -232,8 +227,7 @@ class Goodness:
     """How well the model describes the fitted data.
 
     `statistic` is a standard-normal score of the misfit; `chi2_per_bin`, the mean squared standardised
-    residual, is 1 if the model is right. `band_hz`, for a fit of the spectrum, and `tau_s`, for a fit of the
-    curve, are the lowest and highest values used. `lines` were left out.
+    residual, is 1 if the model is right. `band_hz` or `tau_s` is the fitted range.
     """
 
     statistic: float
@@ -246,7 +240,7 @@ class Goodness:
 
 @frozen
 class Candidate:
-    """A candidate model: its structure, and how much worse its criterion is."""
+    """A candidate model, and how much worse its criterion is."""
 
     structure: str
     delta: float
@@ -269,21 +263,21 @@ class NoiseFit(Displayed):
     parameters, covariance
         Names such as ``N``, ``GM1.sigma``, ``GM1.T``; covariance of the coefficients in SI, shape (p, p).
     used
-        Indices of the points of `curve` within the part of the data that the fit used, shape (j,).
+        Indices of the fitted points of `curve`, shape (j,).
     candidates
         Models within reach of the best, the chosen one (delta 0) first.
     criterion
-        ``chance``, ``bic``, ``hq``, ``aic``, or ``given`` when the model was fixed by the caller.
+        ``chance``, ``bic``, ``hq``, ``aic``, or ``given`` for a model that the caller fixed.
     noise_share
-        The model's share of each of the curve's Allan variances, which an output filter or lines also shape,
-        shape (k,); None if neither was found.
+        The model's share of each of the curve's Allan variances, shape (k,). None without an output
+        filter and lines.
     taken_out
         Regressors that were removed from the samples -> coefficients in U; the names are those of
         `imucal.fitting.spectral.ordinates`.
     segments
         Changes of the terms within the record; None if not tested.
     bins
-        The fitted binned spectrum for `imucal.pool`; None if not ``mle`` or read back without it.
+        The binned spectrum for `imucal.pool`; None if not ``mle`` or read back without it.
     """
 
     method: str

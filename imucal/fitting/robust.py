@@ -1,7 +1,7 @@
 """Spikes and rounding, which make the noise of a log look larger than the sensor's.
 
-A spike distorts an Allan variance at every averaging time, so the samples are cleaned. Spikes are found by
-their distance from a baseline, which follows the slow parts, and are replaced by baseline plus noise.
+Spikes are found by their distance from a baseline, which follows the slow parts, and are replaced by baseline
+plus noise, because a spike distorts an Allan variance at every averaging time.
 """
 
 from collections.abc import Iterator
@@ -19,21 +19,20 @@ from imucal.units import pretty
 
 #: Samples in a block, whose median is a point of the baseline.
 _BLOCK = 100
-#: Blocks processed at a time, to stay in the cache.
 _BLOCKS = 512
 #: Deviations from the baseline that make a sample a possible spike.
 _MIN_SPIKE = 5.0
-#: Expected number of false spikes in a whole series of Gaussian noise.
+#: Expected number of false spikes in a series.
 _FALSE_ALARMS = 0.01
 #: Standard deviation of Gaussian noise, over its median absolute deviation.
 _DEVIATION = 1.4826
-#: Distance, in standard deviations, at which the heaviness of the tails is measured.
+#: Distance, in standard deviations, that shows heavy tails.
 _BODY = 3.0
 #: Degrees of freedom of a Student's t that is practically Gaussian.
 _GAUSSIAN = 1e4
 #: Share of spikes above which the noise itself is in doubt.
 _MANY = 0.01
-#: Factor on N's interval, an excess kurtosis of 6, above which the kurtosis may not be finite.
+#: Factor on N's interval above which the kurtosis may not be finite.
 _UNCERTAIN = 2.0
 #: Share of N² above which rounding is reported.
 _NOTABLE = 0.02
@@ -42,7 +41,7 @@ _NOTABLE = 0.02
 def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
     """Return the series with its spikes replaced, and findings about them and about heavy tails.
 
-    Without spikes the same object is returned. The replacing noise has a fixed seed.
+    Without spikes the same object is returned.
     """
     spike, baseline, deviation = find_spikes(series.samples)
     count = int(spike.sum())
@@ -75,13 +74,11 @@ def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
 
 
 def find_spikes(samples: FloatArray) -> tuple[BoolArray, FloatArray, float]:
-    """Return which samples are spikes, shape (n,), the baseline, and the standard deviation about it; O(n).
+    """Return which samples are spikes, shape (n,), the baseline, and the standard deviation about it.
 
     If there are clearly no spikes, baseline and deviation are `samples` and 0. The baseline joins the medians
-    of blocks of 100 samples by straight lines. A spike is more than 5 standard deviations (1.4826 median
-    absolute deviations) from it, and beyond the distance that one in a hundred Gaussian records of this
-    length reaches. More samples must be this far than in the tail of the Student's t with the same number
-    beyond 3 deviations.
+    of blocks by straight lines. A spike is farther from it than nearly all Gaussian records of this length
+    reach, and beyond the noise's own tail.
 
     Source: Hampel (1974), JASA 69, 383 (median and median absolute deviation).
     """
@@ -89,20 +86,20 @@ def find_spikes(samples: FloatArray) -> tuple[BoolArray, FloatArray, float]:
         return np.zeros(samples.size, dtype=bool), samples, 0.0
     reach = max(_MIN_SPIKE, -float(scipy.special.ndtri(_FALSE_ALARMS / (2 * samples.size))))
     distance = _distance(samples)
-    # If the farthest sample is within reach of the median distance, there is no spike: skip the median.
+    # If the farthest sample is within reach of the median distance, there is no spike.
     near = float(distance.max()) / (reach * _DEVIATION)
     if 2 * np.count_nonzero(distance < near) < samples.size:
         return np.zeros(samples.size, dtype=bool), samples, 0.0
     baseline = _baseline(samples)
     deviation = _DEVIATION * float(np.median(distance))
     if deviation == 0:
-        # More than half of the samples are on the baseline: the steps are coarse, and one step is no spike.
+        # More than half of the samples are on the baseline: one coarse step is no spike.
         deviation = step_size(samples) or 0.0
     if deviation == 0:
         return np.zeros(samples.size, dtype=bool), baseline, 0.0
     spike = distance > reach * deviation
     if spike.any():
-        # Coarse steps round the median deviation to a step, but not the root mean square.
+        # Coarse steps round the median deviation, not the root mean square.
         spread = float(np.sqrt(np.mean(np.square(distance[~spike]))))
         wide = max(deviation, spread)
         spike = distance > _end_of_tail(distance / deviation, reach * wide / deviation) * deviation
@@ -119,7 +116,6 @@ def _end_of_tail(distance: FloatArray, reach: float) -> float:
     normal = 2 * n * float(scipy.special.ndtr(-_BODY))
     freedom = _GAUSSIAN
     if count > normal + 3 * np.sqrt(normal) + 3:
-        # Find the Student's t with the same number of samples beyond 3 deviations.
         grid = np.geomspace(3.0, _GAUSSIAN, 64)
         of_body = 2 * n * scipy.special.stdtr(grid, -_BODY * _median_of_t(grid) * _DEVIATION)
         freedom = float(np.interp(-count, -of_body, grid))
@@ -142,7 +138,7 @@ def step_size(samples: FloatArray) -> float | None:
         return None
     gaps = np.diff(values)
     step = float(gaps.min())
-    # The values may be rounded to single precision.
+    # Values may be rounded to single precision.
     rounding = 4 * float(np.abs(values).max()) * 2.0**-23
     off_grid = np.abs(gaps / step - np.round(gaps / step)) * step
     return step if bool(np.all(off_grid <= max(rounding, 1e-6 * step))) else None
@@ -193,7 +189,6 @@ def _distance(samples: FloatArray) -> FloatArray:
 
 
 def _baseline_parts(samples: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
-    """Yield straight lines between the medians of blocks, in parts that fit in the cache."""
     n = samples.size
     block = min(_BLOCK, n)
     medians = _medians(samples, block)
@@ -210,7 +205,7 @@ def _baseline_parts(samples: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
 
 
 def _medians(samples: FloatArray, block: int) -> FloatArray:
-    """Return the medians of whole blocks; four times as fast as NumPy's median, which checks for NaN."""
+    """Return the medians of whole blocks; NumPy's median takes four times as long."""
     count, half = samples.size // block, block // 2
     medians = np.empty(count)
     for first in range(0, count, _BLOCKS):
@@ -222,7 +217,6 @@ def _medians(samples: FloatArray, block: int) -> FloatArray:
 
 
 def _tail_finding(series: AxisSeries, factor: float) -> tuple[Finding, ...]:
-    """Return a warning if outliers in the noise make N uncertain; `factor` as `heavy_tails`."""
     if factor < _UNCERTAIN:
         return ()
     text = (
@@ -237,8 +231,7 @@ def heavy_tails(samples: FloatArray, neighbours: BoolArray | None = None) -> flo
     """Return the factor by which heavy tails widen N's interval, at least 1.
 
     The variance of the logarithm of white noise's mean square is (2 + k)/n with its excess kurtosis k; the
-    excess kurtosis of its steps is k/2. Excess within four standard errors counts as none. Only steps between
-    `neighbours` count, shape (n-1,); all by default.
+    excess kurtosis of its steps is k/2.
     """
     if samples.size < 2:
         return 1.0

@@ -23,8 +23,7 @@ METHODS: dict[str, tuple[str, str]] = {
 }
 
 #: Criterion of the choice between models -> price of one parameter for a number of samples, in units of twice
-#: the log-likelihood, or of the weighted sum of squares. The price of chance is the same at any rate: a
-#: spurious parameter gains 12 in one of two thousand records. Source: Wilks (1938), Annals of Mathematical
+#: the log-likelihood, or of the weighted sum of squares. Source: Wilks (1938), Annals of Mathematical
 #: Statistics 9 (chance); Schwarz (1978), Annals of Statistics 6 (bic); Hannan & Quinn (1979), JRSS B 41 (hq);
 #: Akaike (1974), IEEE TAC 19 (aic).
 CRITERIA: dict[str, Callable[[float], float]] = {
@@ -34,10 +33,9 @@ CRITERIA: dict[str, Callable[[float], float]] = {
     "aic": lambda _: 2.0,
 }
 
-#: Largest number of segments of a record.
 MAX_SEGMENTS = 64
 
-#: Weights of gmwm: full covariance of the curve, or the published diagonal.
+#: Weights of gmwm: full covariance, or the published diagonal.
 WEIGHTS = ("full", "eta3")
 
 
@@ -74,17 +72,16 @@ class FitSettings:
 
     @property
     def structure(self) -> tuple[str, ...] | None:
-        """Symbols of the terms of the model, or None if the fit chooses them."""
+        """Symbols of the model's terms, or None if the fit chooses them."""
         return None if self.model == "auto" else parse_structure(self.model)
 
     @property
     def chosen_by(self) -> str:
-        """How the model's terms are chosen: the criterion, or ``given``."""
+        """The criterion, or ``given``."""
         return self.criterion if self.structure is None else "given"
 
 
-#: Fits finite samples (None for a curve alone), their curve, and the temperature in degrees Celsius, shape
-#: (n,).
+#: Fits finite samples (None for a curve alone), their curve, and the temperature in degrees Celsius.
 Method: TypeAlias = Callable[[AxisSeries | None, AllanCurve, FitSettings, FloatArray | None], NoiseFit]
 
 

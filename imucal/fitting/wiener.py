@@ -2,11 +2,7 @@
 
 In the basis of the likelihood, the DCT-II, the terms of a model are independent at each ordinate, with
 variances S_c that add up to S. The mean of a component given all samples is S_c / S times the ordinate, and
-the variance of its error is S_c - S_c² / S. This is exact for white noise, quantization, random walk, ramp
-and level, and for the other terms as accurate as the likelihood.
-
-Missing samples are replaced by their mean given the others. Their filtered errors add to the standard errors.
-If they are many, conjugate gradients give the mean and random draws of the errors.
+the variance of its error is S_c - S_c² / S. Missing samples are replaced by their mean given the others.
 
 Source: Wiener (1949), "Extrapolation, interpolation, and smoothing of stationary time series"; draws:
 Papandreou & Yuille (2010), NIPS 23.
@@ -30,15 +26,13 @@ from imucal.noise.terms import Quantization, RateRandomWalk, term_keys
 
 #: Ordinates whose variances are computed at a time.
 _PART = 1 << 16
-#: Key of the sum of all components.
 BIAS = "bias"
 #: Terms that stay in the residual.
 _NOISE = frozenset({"Q", "N"})
-#: Samples in all draws of the errors of missing samples, and limits of the number of draws.
+#: Samples in all draws of the errors, and limits of the number of draws.
 _DRAWN, _DRAWS = 2_000_000, (12, 200)
-#: Conjugate gradients stop at this fraction of the standard error, or fail after this number of steps.
+#: Conjugate gradients stop at this fraction of the standard error, or fail after this many steps.
 _CLOSE, _STEPS = 1e-3, 5000
-#: Called with the numbers of samples done and in all.
 Progress: TypeAlias = Callable[[int, int], None]
 
 
@@ -94,10 +88,10 @@ def smooth(
 
 @frozen_alone
 class _Law:
-    """Distribution of the ordinates of all samples: variance 1 / `weight`, flat prior on level and slope.
+    """Distribution of the ordinates: variance 1 / `weight`, flat prior on level and slope.
 
     The slope multiplies the ordinates of a `ramp`. Its estimate is `slope` @ ordinates, with variance
-    `slope_variance`; all are zero if the model has no ramp. Arrays have shape (n,).
+    `slope_variance`. Arrays have shape (n,).
     """
 
     weight: FloatArray
@@ -117,24 +111,20 @@ class _Law:
         return cls(weight=weight, ramp=ramp, slope=slope, slope_variance=variance)
 
     def weigh(self, samples: FloatArray) -> FloatArray:
-        """Return the precision matrix of the samples times `samples`, shape (n,)."""
         ordinates = dct2(samples)
         if self.slope_variance:
             ordinates -= (self.slope @ ordinates) * self.ramp
         return idct2(self.weight * ordinates)
 
     def draw(self, rng: np.random.Generator) -> FloatArray:
-        """Return a vector whose covariance is the precision matrix, shape (n,)."""
+        """Return a vector whose covariance is the precision matrix."""
         ordinates = np.sqrt(self.weight) * rng.standard_normal(self.weight.size)
         return idct2(ordinates - (self.ramp @ ordinates) * self.slope)
 
 
 @frozen_alone
 class _Filter:
-    """One component: its `gain` at each ordinate, and its `variance` at each sample, shape (n,) each.
-
-    A component that `rises` contains the ramp.
-    """
+    """One component: its `gain` at each ordinate, and its `variance` at each sample."""
 
     gain: FloatArray
     variance: FloatArray
@@ -176,7 +166,7 @@ def _filters(model: NoiseModel, n: int, tau0: float) -> tuple[dict[str, _Filter]
     total, bias = sum(spectra.values(), np.zeros(n)), sum(slow.values(), np.zeros(n))
     law = _Law.of(total, has_ramp="R" in keys)
 
-    # The prior of the level is flat: it is what the other terms leave of ordinate 0.
+    # The prior of the level is flat: the other terms leave it the rest of ordinate 0.
     filters = {}
     if "K" not in slow:
         filters["level"] = _Filter.of(law, np.zeros(n), level=True, left=float(total[0]))
@@ -189,10 +179,10 @@ def _filters(model: NoiseModel, n: int, tau0: float) -> tuple[dict[str, _Filter]
 
 
 def _spectrum(term: NoiseTerm, n: int, tau0: float) -> FloatArray:
-    """Return the variances of the ordinates 0 … n-1 of a term, shape (n,).
+    """Return the variances of the ordinates 0 … n-1 of a term.
 
-    Ordinate 0 of a walk is its level, with a flat prior: it is 0 here. Quantization noise has independent
-    ordinates without its part in the first and last sample, which `_Unknown` adds.
+    Ordinate 0 of a walk is its level, with a flat prior: it is 0 here. `_Unknown` adds the part of
+    quantization noise at both ends.
     """
     first = np.arange(1, n, dtype=np.int64)
     if isinstance(term, Quantization):
@@ -206,8 +196,8 @@ def _spectrum(term: NoiseTerm, n: int, tau0: float) -> FloatArray:
         raise ArgumentError(msg)
     if isinstance(term, RateRandomWalk):
         return np.concatenate([[0.0], expected])
-    # n times the variance of the mean. Half the structure function at a long lag is the variance of a sample.
-    # It grows with the lag for flicker, whose cycles of more than 3 n samples do not matter for the level.
+    # n times the variance of the mean. Half the structure function at a long lag is the variance of a sample;
+    # for flicker, which has none, cycles of more than 3 n samples do not matter for the level.
     far = np.array([(3.0 if isinstance(term, PowerLawTerm) else 1e9) * n])
     lags = np.arange(1.0, n)
     own = n * term.structure(far, tau0) / 2 - term.structure(lags, tau0) @ (1 - lags / n)
@@ -218,11 +208,10 @@ def _spectrum(term: NoiseTerm, n: int, tau0: float) -> FloatArray:
 class _Unknown:
     """The samples to estimate: missing ones, and the first and the last one if they have extra noise.
 
-    Quantization noise of q² per sample is a process with independent ordinates, and noise of q² in the first
-    and the last sample. `places`, shape (u,), are indices and `known` the precision of their observation,
-    zero for missing ones. `covariance` of their errors is None if they are more than `count`, the number of
-    draws. `runs` precondition: the indices in `places` of all runs of one length, shape (r, length), and the
-    variances of their sines, shape (length,).
+    `places`, shape (u,), are indices and `known` the precision of their observation, zero for missing ones.
+    `covariance` of their errors is None if they are more than `count`, the number of draws. `runs`
+    precondition: the indices in `places` of all runs of one length, shape (r, length), and the variances of
+    their sines.
     """
 
     law: _Law
@@ -253,7 +242,6 @@ class _Unknown:
         return replace(result, covariance=np.linalg.inv(matrix))
 
     def complete(self, samples: FloatArray) -> FloatArray:
-        """Return samples of shape (n,) with the unknown ones replaced by their means given the others."""
         full, missing = samples.copy(), self.places[self.known == 0]
         others = np.delete(np.arange(samples.size), missing)
         full[missing] = np.interp(missing, others, samples[others])
@@ -261,10 +249,7 @@ class _Unknown:
         return full
 
     def errors(self) -> Iterator[FloatArray]:
-        """Yield errors of the completed samples, shape (n,); their squares add up to the variances.
-
-        They are exact if there are no more unknown samples than draws.
-        """
+        """Yield errors of the completed samples, shape (n,); their squares add up to the variances."""
         if self.covariance is not None:
             yield from map(self._padded, np.linalg.cholesky((self.covariance + self.covariance.T) / 2).T)
             return
@@ -283,7 +268,6 @@ class _Unknown:
         return self.law.weigh(self._padded(values))[self.places] + self.known * values
 
     def _solve(self, right: FloatArray) -> FloatArray:
-        """Solve precision @ x = right, by conjugate gradients if there is no covariance."""
         if self.covariance is not None:
             return np.asarray(self.covariance @ right)
         x, rest = np.zeros(right.size), right.copy()

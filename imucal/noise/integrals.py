@@ -10,8 +10,7 @@ over tau = m tau0, the first equation becomes
 
     avar(tau) = 2 * integral from 0 to infinity of S(f) 2 sin^4(pi f tau) / (pi f tau)^2 df.
 
-The integral is computed octave by octave, towards 0 (and infinity) until the rest is a geometric tail. If
-sin^4 has many periods in an octave, it is integrated as cosines, at a cost that does not grow with m.
+The integral is computed octave by octave until the rest is a geometric tail.
 
 Source: Guerrier, Molinari, Stebler: Allan variance, lemmas 4.1 and 4.2; IEEE Std 952-1997, eq. (C.4).
 """
@@ -40,7 +39,6 @@ Psd: TypeAlias = Callable[[FloatArray], ArrayLike] | tuple[ArrayLike, ArrayLike]
 def _function_of_points(
     frequency: ArrayLike, density: ArrayLike
 ) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
-    """Return the function that is linear on logarithmic axes between points, and the points."""
     f, s = np.asarray(frequency, dtype=np.float64), np.asarray(density, dtype=np.float64)
     if f.ndim != 1 or f.shape != s.shape or not f.size:
         raise ArgumentError(f"a psd of arrays must be two of one shape (k,), got {f.shape} and {s.shape}")
@@ -55,19 +53,18 @@ def _function_of_points(
     return (lambda at: np.exp(np.interp(np.log(at), x, y))), f
 
 
-#: Maximum number of octaves in a tail.
 _FURTHEST = 448
-#: A tail diverges if its octaves do not shrink by at least this factor.
+#: Ratio of neighbouring octaves from which a tail diverges.
 _DIVERGENT = 1 - 1e-6
 #: A tail ends if its last octave is below this fraction of the whole.
 _NEGLIGIBLE = 1e-14
-#: If the phase of sin^4 grows by less than this in a piece, the piece is integrated without cosines.
+#: Growth of the phase of sin^4 in a piece from which it is integrated with cosines.
 _CALM = 4.0
-#: Relative error requested, largest relative error accepted, and largest number of subdivisions of a piece.
+#: Relative error requested, largest one accepted, and largest number of subdivisions.
 _TOLERANCE, _WORST, _HALVINGS = 1e-11, 1e-6, 200
 
 
-#: Pieces around a break end at these distances, relative to its frequency.
+#: Distances from a break at which pieces end, relative to its frequency.
 _CLOSER = 0.5 ** np.arange(1, 31)
 
 
@@ -79,7 +76,7 @@ class _InfiniteError(ValueError):
 class _PsdIntegral:
     """2 * integral of density * kernel at one m, in cycles per sample.
 
-    `tau0` is used in messages; `errors` collects the error and start of each piece.
+    `errors` collects the error and start of each piece.
     """
 
     density: Callable[[float], float]
@@ -90,8 +87,7 @@ class _PsdIntegral:
     errors: list[tuple[float, float]] = field(default_factory=list)
 
     def total(self) -> float:
-        """Return the integral: the main octaves, and the tail towards 0 (and infinity)."""
-        # Averages of this length depend mostly on the frequencies between these limits.
+        # The average depends mostly on these frequencies.
         high = 0.5 if self.sampled else 8.0
         low = 2.0 ** -(math.ceil(math.log2(self.m)) + 5)
         total = sum(self._octave(low * 2.0**i) for i in range(round(math.log2(high / low))))
@@ -105,7 +101,6 @@ class _PsdIntegral:
         return total
 
     def _tail(self, edge: float, ratio: float, total: float) -> float:
-        """Return the sum over all octaves from `edge` on."""
         parts: list[float] = []
         with suppress(_InfiniteError):
             for i in range(_FURTHEST):
@@ -128,7 +123,7 @@ class _PsdIntegral:
         return sum(self._piece(a, b) for a, b in pairwise([low, *inside, 2 * low]))
 
     def _piece(self, low: float, high: float) -> float:
-        """Return the integral over a piece; uses sin^4 u = 3/8 - cos(2u)/2 + cos(4u)/8 for many periods."""
+        """Return the integral over a piece, with sin^4 u = 3/8 - cos(2u)/2 + cos(4u)/8 for many periods."""
         if math.pi * self.m * (high - low) < _CALM:
             return self._quad(self._whole, low, high)
         mean = self._quad(self._smooth, low, high)
@@ -146,7 +141,7 @@ class _PsdIntegral:
         omega: float = 0.0,
         size: float = 0.0,
     ) -> float:
-        """Return the integral of a function, times a cosine if `omega`, to an accuracy relative to `size`."""
+        """Return the integral of a function, times a cosine if `omega`; `size` sets the accuracy."""
         weight = {"weight": "cos", "wvar": omega, "epsrel": 0.0} if omega else {"epsrel": _TOLERANCE}
         value, error, *_ = scipy.integrate.quad(
             function, low, high, epsabs=_TOLERANCE * size, limit=_HALVINGS, full_output=1, **weight
@@ -155,7 +150,6 @@ class _PsdIntegral:
         return float(value)
 
     def _lower(self, f: float) -> float:
-        """Return the square root of the divisor of sin^4."""
         return self.m * (math.sin(math.pi * f) if self.sampled else math.pi * f)
 
     def _smooth(self, f: float) -> float:
@@ -163,7 +157,7 @@ class _PsdIntegral:
 
     def _whole(self, f: float) -> float:
         sine = math.sin(math.pi * self.m * f)
-        # This order avoids underflow at the lowest frequencies.
+        # This order avoids underflow.
         return self.density(f) * sine * sine * (2 * sine / self._lower(f)) ** 2
 
 
@@ -194,7 +188,6 @@ def avar_from_psd(
         time, averaged over m tau0; it is then used at all frequencies and must grow less steeply than f.
     breaks
         Frequencies in Hz where the psd jumps, or has a peak narrower than a hundredth of its frequency.
-        Without them such features could be missed.
 
     Returns
     -------
@@ -203,8 +196,8 @@ def avar_from_psd(
     Raises
     ------
     ValueError
-        If an argument is out of range, the psd is negative or not finite somewhere, or the integral
-        is infinite; the message contains the frequency.
+        If an argument is out of range, the psd is negative or not finite somewhere, or the integral is
+        infinite.
 
     Examples
     --------
@@ -217,7 +210,7 @@ def avar_from_psd(
     if not (math.isfinite(tau0) and tau0 > 0):
         raise ArgumentError(f"tau0 must be positive and finite, got {tau0}")
     function, kinks = (psd, np.zeros(0)) if callable(psd) else _function_of_points(*psd)
-    # Pieces become shorter towards a break, to resolve a peak there.
+    # Pieces become shorter towards a break.
     near = np.outer(np.asarray(breaks, dtype=np.float64), 1 + np.outer([-1.0, 0.0, 1.0], _CLOSER))
     kinks = np.concatenate([kinks, near.ravel()]) * tau0
     distinct, place = np.unique(factors, return_inverse=True)
@@ -263,8 +256,7 @@ def avar_from_acvf(acvf: Acvf, m: ArrayLike) -> FloatArray:
     Raises
     ------
     ValueError
-        If a factor is not a whole number from 1, or `acvf` is not finite or not an autocovariance: larger
-        than at lag 0, or with a negative Allan variance.
+        If a factor is not a whole number from 1, or `acvf` is not finite or not an autocovariance.
 
     Examples
     --------
@@ -287,7 +279,6 @@ def avar_from_acvf(acvf: Acvf, m: ArrayLike) -> FloatArray:
 
 
 def _factors(m: ArrayLike) -> FloatArray:
-    """Return averaging factors as shape (k,); they must be whole numbers from 1."""
     factors = np.asarray(m, dtype=np.float64).ravel()
     wrong = factors[~(np.isfinite(factors) & (factors >= 1) & (factors == np.round(factors)))]
     if wrong.size:
@@ -296,7 +287,7 @@ def _factors(m: ArrayLike) -> FloatArray:
 
 
 def _falls(acvf: Acvf, greatest: int) -> tuple[float, FloatArray]:
-    """Check the autocovariance; return r_0 and r_0 - r_k at k = 0 … 2 m - 1."""
+    """Return r_0, and r_0 - r_k at k = 0 … 2 m - 1."""
     lags = np.arange(2.0 * greatest)
     if callable(acvf):
         values = np.asarray(acvf(lags), dtype=np.float64)

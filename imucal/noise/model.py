@@ -87,8 +87,8 @@ class NoiseModel:
 def parse_structure(text: str) -> tuple[str, ...]:
     """Return the symbols of a text such as ``N + 2*GM + K``, in the order of `TERMS`.
 
-    Common abbreviations are accepted: ``ARW + BI + RRW`` is ``N + B + K``. An unknown term, or a duplicate of
-    a term other than GM, is a ValueError.
+    Common abbreviations are accepted. An unknown term, or a duplicate of a term other than GM, is a
+    ValueError.
     """
     symbols: list[str] = []
     for part in text.split("+"):
@@ -104,7 +104,7 @@ def parse_structure(text: str) -> tuple[str, ...]:
 
 
 def structure_text(symbols: Iterable[str]) -> str:
-    """Return a text such as ``N + 2*GM + K`` for the symbols."""
+    """Return a text such as ``N + 2*GM + K``."""
     ordered = tuple(symbols)
     counts = {symbol: ordered.count(symbol) for symbol in dict.fromkeys(ordered)}
     return " + ".join(symbol if count == 1 else f"{count}*{symbol}" for symbol, count in counts.items())
@@ -121,7 +121,6 @@ def _parse_term(part: str, sensor: Sensor) -> NoiseTerm:
 
 
 def _number(text: str, what: str, units: Mapping[str, float]) -> float:
-    """Return a number in SI from a text with or without a unit."""
     match = _VALUE.fullmatch(text)
     if match is None:
         raise ArgumentError(f"{text!r} is not a number; write a sum {_EXAMPLE}")

@@ -1,4 +1,4 @@
-"""The base class of noise terms, and formulas per unit variance and sample that need care with rounding."""
+"""The base class of noise terms, and formulas per unit variance and sample."""
 
 import math
 import re
@@ -15,9 +15,9 @@ from imucal.powerlaw import PowerLaw, odd_harmonic
 from imucal.recording import Sensor
 from imucal.units import SAMPLE_UNITS, DatasheetUnit, datasheet_unit
 
-#: Step in the logarithm of a parameter for a numerical derivative.
+#: Step in the logarithm of a parameter for a derivative.
 _STEP = 1e-4
-#: Below this fraction of the correlation time, closed forms of a Gauss-Markov term lose digits.
+#: Fraction of the correlation time below which closed forms lose digits.
 _SLOW = 0.05
 
 
@@ -32,7 +32,7 @@ class Stroke:
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """Description of a term on the page: its shape in the curve, its meaning, its other names."""
+    """Description of a term on the page."""
 
     in_the_curve: str
     meaning: str
@@ -43,10 +43,9 @@ class Description:
 class NoiseTerm(ABC):
     """One term of a noise model. A new term needs only a subclass and its line in `TERMS`.
 
-    The dataclass fields are the parameters, the coefficient first, to which the noise is proportional. Their
-    names appear in a model's text: ``N=1e-3`` for one, ``GM(sigma=1e-4, T=50)`` for several. A fit can
-    estimate a coefficient alone or with a time ``T`` in s. Three methods define the noise: `structure`, `psd`
-    and `simulate`. The others follow from them; override them if there is a closed form.
+    The dataclass fields are the parameters, the coefficient first, to which the noise is proportional. A fit
+    can estimate a coefficient alone or with a time ``T`` in s. Three methods define the noise: `structure`,
+    `psd` and `simulate`. Override the others if there is a closed form.
 
     Class attributes
     ----------------
@@ -65,7 +64,7 @@ class NoiseTerm(ABC):
     read_at
         Where the curve shows the coefficient: tau in s (None if not fixed), and deviation / coefficient.
     fitted_by
-        Methods of `imucal.fit` that can fit the term; the others reject it.
+        Methods of `imucal.fit` that can fit the term.
     always
         Whether every fit reports the term, with an upper bound if the data do not show it.
     repeatable
@@ -93,13 +92,12 @@ class NoiseTerm(ABC):
 
     @classmethod
     def parameter_names(cls, key: str) -> tuple[str, ...]:
-        """Return the parameters' names in a fit: ``N``, or ``GM1.sigma``, ``GM1.T`` for `key` ``GM1``."""
+        """Return the parameters' names in a fit: ``N``, or ``GM1.sigma``, ``GM1.T`` for ``GM1``."""
         names = cls.parameters()
         return (key,) if len(names) == 1 else tuple(f"{key}.{name}" for name in names)
 
     @classmethod
     def of(cls, *values: float) -> Self:
-        """Return the term with these parameters, in the order of `parameters`."""
         return cls(**dict(zip(cls.parameters(), values, strict=True)))
 
     @classmethod
@@ -121,7 +119,6 @@ class NoiseTerm(ABC):
 
     @classmethod
     def unit(cls, sensor: Sensor) -> str:
-        """Return the SI unit of the coefficient."""
         return cls.units[sensor is Sensor.ACCELEROMETER]
 
     @classmethod
@@ -135,7 +132,6 @@ class NoiseTerm(ABC):
 
     @classmethod
     def datasheet_unit(cls, sensor: Sensor) -> DatasheetUnit:
-        """Return the unit of the coefficient in data sheets."""
         return datasheet_unit(cls.datasheet[sensor is Sensor.ACCELEROMETER])
 
     @classmethod
@@ -145,23 +141,21 @@ class NoiseTerm(ABC):
 
     @property
     def coefficient(self) -> float:
-        """The coefficient, in the SI unit of `units`."""
         return float(getattr(self, self.parameters()[0]))
 
     @property
     def values(self) -> tuple[float, ...]:
-        """The parameters' values, in the order of `parameters`."""
         return tuple(float(getattr(self, name)) for name in self.parameters())
 
     def text(self) -> str:
-        """Return the term as it appears in a model's text; `parse` restores it exactly."""
+        """Return the term as in a model's text; `parse` restores it exactly."""
         names = self.parameters()
         if len(names) == 1:
             return f"{self.symbol}={self.coefficient!r}"
         return f"{self.symbol}({', '.join(f'{name}={getattr(self, name)!r}' for name in names)})"
 
     def read_off(self) -> tuple[float | None, float]:
-        """Return the point that shows the coefficient: tau in s (None if not fixed) and the deviation."""
+        """Return tau in s (None if not fixed) and the deviation that show the coefficient."""
         return self.read_at[0], self.read_at[1] * abs(self.coefficient)
 
     @abstractmethod
@@ -180,7 +174,7 @@ class NoiseTerm(ABC):
         """Return V(n), the generalised variance of the sum of `n` samples, shape (j,), in U².
 
         V(n) = -sum over k < n of (n - k) D(k), up to a multiple of n², which cancels in avar(m) = (4 V(m) -
-        V(2m)) / (2 m²). This version sums every lag, O(largest n), at whole n.
+        V(2m)) / (2 m²).
         """
         n = np.abs(np.asarray(n, dtype=np.float64))
         k = np.arange(1.0, float(n.max(initial=1.0)))
@@ -200,9 +194,9 @@ class NoiseTerm(ABC):
     ) -> tuple[FloatArray, FloatArray]:
         """Return the term's contribution to squared DCT-II ordinates of `n` samples, and its slopes.
 
-        Bins are given by their `first` ordinate and `count`, shape (b,). The mean of E[X_k²] over each bin
-        has shape (b,), its derivative in the logarithm of each parameter shape (p, b). This version uses the
-        psd, the limit for long records.
+        Bins are given by their `first` ordinate and `count`. The mean of E[X_k²] over each bin has shape
+        (b,), its derivative in the logarithm of each parameter shape (p, b). This version uses the psd, the
+        limit for long records.
         """
         frequency = (first + (count - 1) / 2) / (2 * n * tau0)
         expectation = self.psd(frequency, tau0) / tau0
@@ -219,13 +213,13 @@ class NoiseTerm(ABC):
     ) -> tuple[FloatArray, FloatArray]:
         """Return `dct_slopes` of many terms of unit deviation per sample at once, for the fits.
 
-        `log_time`, shape (c, 1), contains logs of the times in samples; terms without a time ignore it. For
-        each bin, shape (b,), `lam` is the mean of 4 sin²(theta_k / 2) and `length` the number of samples of
-        its series. `sign` is (-1)^k for a bin of one ordinate, 0 for wider bins. The mean of E[X_k²] and its
-        derivative in the log of the time have shapes (c, b). Override this version if it is too slow.
+        `log_time`, shape (c, 1), contains logs of the times in samples. For each bin, shape (b,), `lam` is
+        the mean of 4 sin²(theta_k / 2), `length` the number of samples of its series and `sign` (-1)^k for a
+        bin of one ordinate, 0 for wider bins. The mean of E[X_k²] and its derivative in the log of the time
+        have shapes (c, b).
         """
         omega = 2 * np.arcsin(np.sqrt(np.minimum(lam, 4.0)) / 2)
-        # A wide bin is evaluated at its middle, a single one at its ordinate.
+        # A wide bin is evaluated at its middle.
         middle = length * omega / np.pi
         count = np.where(sign == 0, 2, 1)
         first = np.where(sign == 0, middle - 0.5, np.rint(middle))
@@ -289,9 +283,7 @@ def require_non_negative(name: str, value: float) -> None:
 def gauss_markov_sum(n: FloatArray, a: float) -> FloatArray:
     """Return V(n) of a unit-variance AR1 with phi = exp(-a), at n >= 0.
 
-    For a slow process the result omits a multiple of n², which would cost all digits. If the closed form
-    loses digits, series in a and in a n replace it. Allan variances have a relative error of about 1e-11, up
-    to averages over 1e5 times the correlation time.
+    For a slow process the result omits a multiple of n², which would cost all digits.
     """
     x, scale = a * n, 2 * math.exp(-a) / math.expm1(-a) ** 2
     if a >= _SLOW:
@@ -304,7 +296,6 @@ def gauss_markov_sum(n: FloatArray, a: float) -> FloatArray:
 def draw_flicker(n: int, rng: np.random.Generator) -> FloatArray:
     """Return flicker with the exact structure function (4/pi) O_k, by circulant embedding.
 
-    The circulant autocovariance of the first differences has a non-negative spectrum, so the draw is exact.
     Source: Davies & Harte (1987).
     """
     if n == 0:
@@ -319,7 +310,7 @@ def draw_flicker(n: int, rng: np.random.Generator) -> FloatArray:
     del structure, covariance
     spectrum = np.sqrt(np.maximum(scipy.fft.rfft(circulant).real, 0.0))
     del circulant
-    # Overwrite in place: for a day of samples these arrays are the peak memory of a simulation.
+    # Overwrite in place: these arrays are the peak memory of a simulation.
     drawn = scipy.fft.rfft(rng.standard_normal(size), overwrite_x=True)
     drawn *= spectrum
     del spectrum
@@ -334,21 +325,19 @@ def gauss_markov_dct(
 
     With phi = exp(-1/T), r = (-1)^k phi^n and den = (1 - phi)² + phi lam,
 
-        E = (1 - phi²)/den [1 - (1 - r) (2 phi/n) (1 - phi) (1 + cos theta) / ((1 + phi) den)],
-
-    exact for every T/n: the bracket is the effect of the finite length.
+        E = (1 - phi²)/den [1 - (1 - r) (2 phi/n) (1 - phi) (1 + cos theta) / ((1 + phi) den)].
     """
     a = np.exp(-log_time)
     phi, one_minus = np.exp(-a), -np.expm1(-a)
     power = -np.expm1(-2 * a)
     inverse = 1 / (one_minus**2 + phi * lam)
     share = (2 * phi * one_minus / (1 + phi)) * ((2 - lam / 2) / length) * inverse
-    # d/dlog T of a is -a; the logarithmic slope of every factor follows from it.
+    # d/dlog T of a is -a.
     slope_den = (a * phi) * (lam - 2 * one_minus) * inverse
     slope_power = -2 * a * np.exp(-2 * a) / power
     slope_share = share * (a - a * phi * (1 / one_minus + 1 / (1 + phi)) - slope_den)
     bracket, slope_bracket = 1 - share, -slope_share
-    # The finite length matters only in bins of a single ordinate, which are few.
+    # The finite length matters only in single ordinates.
     single = np.flatnonzero(sign)
     ends = sign[single] * np.exp(-length[single] * a)
     bracket[:, single] += ends * share[:, single]

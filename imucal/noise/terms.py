@@ -213,10 +213,10 @@ class GaussMarkov(NoiseTerm):
         """Return terms whose sum approximates flicker of bias instability `B`, in U, for filters without it.
 
         The correlation times are spaced by a constant ratio r. Each term has the variance B² ln(r)/pi. The
-        sum has the spectrum of flicker between 1/(2 pi t_max) and 1/(2 pi t_min), except within a factor of
-        about 3 of these limits. For samples at tau0, t_min = tau0 / 2 is enough up to the Nyquist frequency.
-        The ripple is 5.5 % at 1 term `per_decade`, 0.65 % at 1.5, 0.08 % at 2. Times that do not increase,
-        and a `B` or `per_decade` that is not positive, are a ValueError.
+        sum has the spectrum of flicker between 1/(2 pi t_max) and 1/(2 pi t_min), except near these limits.
+        For samples at tau0, t_min = tau0 / 2 is enough up to the Nyquist frequency. The ripple is 5.5 % at 1
+        term `per_decade`, 0.08 % at 2. Times that do not increase, and a `B` or `per_decade` that is not
+        positive, are a ValueError.
 
         Source: Keshner (1982), "1/f noise", Proc. IEEE 70, 212; the variance follows from the integral of
         sigma² 2T / (1 + (wT)²) over ln T.
@@ -298,13 +298,13 @@ ALWAYS = tuple(symbol for symbol, term in TERMS.items() if term.always)
 
 
 def symbol_of(text: str) -> str | None:
-    """Return the symbol for a symbol or abbreviation, such as N for ``ARW``; None if unknown."""
+    """Return the symbol for a symbol or abbreviation; None if unknown."""
     plain = text.strip().upper()
     return next((s for s, term in TERMS.items() if plain == s or plain in term.abbreviations), None)
 
 
 def in_order(symbols: Iterable[str]) -> tuple[str, ...]:
-    """Return symbols in the order of `TERMS`; equal symbols keep their order."""
+    """Return symbols in the order of `TERMS`."""
     return tuple(sorted(symbols, key=list(TERMS).index))
 
 
@@ -320,7 +320,7 @@ def term_keys(symbols: Iterable[str]) -> tuple[str, ...]:
 
 
 def require_fittable(symbols: Iterable[str], method: str) -> None:
-    """Raise a ValueError for terms that a method cannot fit; it lists the methods that can."""
+    """Raise a ValueError for terms that a method cannot fit."""
     for symbol in symbols:
         term = TERMS[symbol]
         refusal = f"method {method!r} can't fit {symbol} ({term.names[0]})"

@@ -1,10 +1,8 @@
 """How far dead reckoning drifts after a rest: angles, velocities and positions, with limits.
 
-The bias is the mean of the samples at rest; afterwards nothing aids dead reckoning. The error of an angle is
-the integrated noise of the gyroscope. The errors of velocity and position are the accelerometer's noise,
-integrated once and twice. A tilt adds gravity: g times the gyroscope's noise, integrated twice and three
-times. The earth is flat and does not rotate; errors of scale, misalignment and temperature are left out. The
-Schuler period of 84 minutes would reduce the error through tilt by 0.7 % at 300 s and by 8 % at 1000 s.
+The bias is the mean of the samples at rest; afterwards nothing aids dead reckoning. Velocity and position
+errors are the accelerometer's noise, integrated once and twice, and g times the gyroscope's noise, integrated
+twice and three times. The earth is flat and does not rotate.
 """
 
 import math
@@ -36,12 +34,11 @@ from imucal.units import G0
 
 #: Default durations of dead reckoning and of the rest before it, in s.
 TIMES_S, REST_S = (1.0, 10.0, 60.0, 300.0), 60.0
-#: Least length of a record that shows a drift, in lengths of rest plus coast: the deviation of this many
-#: coasts is known to a third.
+#: Least length of a record that shows a drift, in lengths of rest plus coast.
 STRETCHES = 5
-#: Largest ratio of rest and coast: the shorter one then has a dozen blocks.
+#: Largest ratio of rest and coast.
 _MAX_RATIO = 2e4
-#: Relative tolerance of g at rest; cosine of the largest tilt, 20 degrees, of a vertical axis.
+#: Relative tolerance of g at rest; cosine of the largest tilt of a vertical axis.
 _NEAR_G, _UPRIGHT = 0.1, 0.94
 
 
@@ -51,9 +48,8 @@ class DriftPoint:
 
     `axis` is a name such as ``gyro_z``, the worst of several, or ``accel_x gyro_y`` for the sum of two parts.
     `value` is from the fitted model, None if the record shows no term. `low` and `high` are limits at the
-    fit's level, including bounded terms, 0 and infinity if a term's are not known. `term`, such as ``B``,
-    contributes the largest `share` of the value's square. `seen` is whether the record is as long as
-    `STRETCHES` such rests and coasts, or the model is extrapolated; None without a record.
+    fit's level, 0 and infinity if unknown. `term` contributes the largest `share` of the value's square.
+    `seen` is whether the record is as long as `STRETCHES` such rests and coasts; None without a record.
     """
 
     time_s: float
@@ -79,8 +75,8 @@ class DriftOf:
 class Drift:
     """How far dead reckoning drifts after a rest of `rest_s`, with limits of the fits' level.
 
-    `vertical` is the axis parallel to gravity, by the accelerometer's means, or empty if unknown. Angles come
-    first, then velocities and positions: each part, and both together.
+    `vertical` is the axis parallel to gravity, or empty if unknown. Angles come first, then velocities and
+    positions: each part, and both together.
     """
 
     rest_s: float
@@ -150,7 +146,7 @@ def drift(
 
 
 def _vertical(axes: Sequence[_Axis]) -> str:
-    """Return the letter of the axis parallel to gravity, or empty if the means do not show it."""
+    """Return the letter of the axis parallel to gravity, or empty if unknown."""
     means = {axis.axis: abs(axis.mean) for axis in axes if axis.fit.sensor is Sensor.ACCELEROMETER}
     total = math.hypot(*means.values())
     if len(means) < 3 or not abs(total / G0 - 1) < _NEAR_G:
@@ -160,7 +156,6 @@ def _vertical(axes: Sequence[_Axis]) -> str:
 
 
 def _quantities(axes: Sequence[_Axis], vertical: str, coasts: "_Coasts") -> Iterator[DriftOf]:
-    """Yield the drift of the worst axes, and of both sensors together."""
     accels = [axis for axis in axes if axis.fit.sensor is Sensor.ACCELEROMETER]
     upright = [axis for axis in axes if axis not in accels and axis.axis == (vertical or None)]
     tilting = [axis for axis in axes if axis not in accels + upright]
@@ -191,7 +186,7 @@ class _Coasts:
     units: dict[tuple[NoiseTerm, float, int], FloatArray] = field(default_factory=dict)
 
     def variance(self, axis: _Axis, integrals: int, term: NoiseTerm) -> FloatArray:
-        """Return the variance of a term at all times, shape (t,), through a tilt in m/s or m."""
+        """Return the variance of a term at all times."""
         scale = G0 if axis.fit.sensor is Sensor.GYROSCOPE and integrals > ANGLE else 1.0
         unit = term.of(1.0, *term.values[1:])
         key = unit, axis.fit.rate_hz, integrals
@@ -207,7 +202,6 @@ class _Coasts:
         return tuple(max(points, key=lambda point: (point.value or 0.0, point.high)) for points in at_times)
 
     def points(self, axis: _Axis, integrals: int) -> list[DriftPoint]:
-        """Return the drift of one axis at all times."""
         fit, variance = axis.fit, partial(self.variance, axis, integrals)
         value = modelled(fit, variance)
         made = {key: own for key, own in shares(fit, variance).items() if own.any()}
@@ -215,7 +209,7 @@ class _Coasts:
         low, high = 0 * value, value + math.inf
         if np.isfinite([*times, *(e.high for e in fit.estimates)]).all():
             low, high = lower_limit(fit, variance), upper_limit(fit, variance)
-        # A curve without degrees of freedom comes from a model, not a record.
+        # A curve without degrees of freedom comes from a model.
         record_s = fit.curve.n / fit.rate_hz if np.isfinite(fit.curve.edf).any() else 0.0
         name = "_".join(filter(None, (fit.sensor.short if fit.sensor else "", axis.axis)))
         points = []
@@ -237,7 +231,7 @@ class _Coasts:
 
 
 def _both(one: DriftPoint, other: DriftPoint) -> DriftPoint:
-    """Return the drift of two independent parts: squares add up, limits combine as for any sum."""
+    """Return the drift of two independent parts."""
     ends = [[getattr(part, end) or 0.0 for part in (one, other)] for end in ("value", "low", "high")]
     value, low, high = np.square(ends)
     total = float(value.sum())

@@ -1,10 +1,9 @@
 """Two numbers for a filter: white noise and a random walk that cover the fitted spectrum.
 
-For any linear weights H, fixed or varying in time, the variance of a filter's error is the integral of
-|H|² S over frequency. If N_f² + K_f² / omega² is at least the true spectrum S wherever H is not zero, the
-variance that the filter predicts is at least the true one. N and K of a fit omit its flicker and Gauss-Markov
-terms; the least pair that covers the whole spectrum includes them. The rule is valid for noise with
-stationary increments, a filter that starts without knowledge of the bias, and uncorrelated axes.
+For any linear weights H, the variance of a filter's error is the integral of |H|² S over frequency. If
+N_f² + K_f² / omega² is at least the true spectrum S wherever H is not zero, the variance that the filter
+predicts is at least the true one. The rule is valid for noise with stationary increments, a filter that
+starts without knowledge of the bias, and uncorrelated axes.
 
 Source: Langel, Garcia Crespillo & Joerger (2021), "Overbounding the effect of uncertain Gauss-Markov noise in
 Kalman filtering", NAVIGATION 68, 259 (the idea; abstract); the rule is measured in
@@ -30,29 +29,28 @@ from imucal.prediction.propagation import MEAN, Caution, Quantity, modelled, upp
 Joined: TypeAlias = Literal["worst", "rms"]
 Join: TypeAlias = Callable[..., FloatArray]
 
-#: One-sided level at which the spectrum of a single axis is covered; for several axes their means are used.
+#: One-sided level at which the spectrum of a single axis is covered.
 LEVEL = 0.8
 #: Default horizon and step, in s: how long a filter may coast, and how often it is aided.
 HORIZON_S, STEP_S = 300.0, 1.0
-#: Horizon for cameras and lidars, in s: they rarely fail longer; satellites may be lost for minutes.
+#: Horizon for cameras and lidars, in s; satellites may be lost for longer.
 CAMERA_HORIZON_S = 60.0
-#: Times at which the ratios of a pair are reported, in s.
+#: Times of the reported ratios, in s.
 PRICED_S = (1.0, 10.0, 60.0, 300.0, 1000.0)
-#: Lowest covered frequency times the horizon, for a walk and for a Gauss-Markov bias: a filter remembers a
-#: walk for longer than it coasts.
+#: Lowest covered frequency times the horizon, for a walk, which a filter remembers for longer than it coasts,
+#: and for a Gauss-Markov bias.
 _LOWEST, _LOWEST_BOUND_BIAS = 0.01, 0.5
 _FREQUENCIES, _TIMES, _PAIRS = 90, 25, 600
-#: Smallest walk of the search, in power relative to the walk that covers everything alone.
+#: Smallest walk of the search, relative to the walk that covers everything alone, in power.
 _SMALLEST = 1e-12
-#: This times horizon R² is the K² with the ramp's Allan variance at the horizon: a ramp has no spectrum.
+#: K² over horizon R² of a walk that covers a ramp, which has no spectrum.
 _RAMP = 1.5
-#: Negligible share of the other's deviation, in place of zero, which programs refuse.
+#: Share of the other's deviation in place of zero, which programs refuse.
 _NOTHING = 1e-3
-#: Samples per step of the bias's process.
 _FINE = 64
-#: Relative tolerance at step and horizon, because averaging times are whole samples.
+#: Relative tolerance, because averaging times are whole samples.
 _ROUNDING = 0.01
-#: Correlation time, in horizons, of a bias without a measured one: it is then nearly a walk.
+#: Correlation time, in horizons, of a bias without a measured one.
 _LONG = 10.0
 
 
@@ -73,9 +71,9 @@ class FilterNumbers:
     ratios
         (t, ratio): predicted over modelled Allan deviation at t, in s.
     price
-        Mean ratio of predicted Allan deviation to the upper limit to cover, from the step to the horizon.
+        Mean ratio of predicted Allan deviation to the upper limit to cover.
     basis
-        ``spectrum`` of the model, or ``curve``: the upper limits of the Allan curve, without a model.
+        ``spectrum`` of the model, or ``curve``: the upper limits of the Allan curve.
     """
 
     white: float
@@ -107,8 +105,8 @@ def filter_numbers(
     """Return the least white noise and walk that cover the spectra of some axes.
 
     The least pair is the covering pair whose Allan variance is nearest to the fits', in the mean logarithm
-    from the step to the horizon. For a fit without a likelihood (``slope``, or of an `AllanCurve`) the upper
-    limits of its Allan curve are covered.
+    from the step to the horizon. For a fit without a likelihood the upper limits of its Allan curve are
+    covered.
 
     Parameters
     ----------
@@ -152,7 +150,7 @@ def filter_numbers(
     if not np.all(np.isfinite(goal.wanted)):
         msg = "found a term without an upper limit; expected limits for all terms; record for longer"
         raise DataError(msg)
-    # The walk that covers everything alone, and smaller ones with the white noise that each needs.
+    # The walk that covers everything alone, and smaller ones.
     walks = float(np.max(goal.wanted / goal.slow)) * np.concatenate(
         [[0.0], np.geomspace(_SMALLEST, 1.0, _PAIRS)]
     )
@@ -193,7 +191,7 @@ def usual_pairs(fits: Sequence[NoiseFit]) -> tuple[FilterNumbers, ...]:
 def correlation_times(fits: Sequence[NoiseFit], *, horizon_s: float = HORIZON_S) -> tuple[float, ...]:
     """Return possible correlation times of a Gauss-Markov bias, in s, longest first.
 
-    The first is at least 10 horizons and the record, so that the bias is a walk for the filter.
+    The first is so long that the bias is a walk for the filter.
     """
     record = max(fit.curve.n / fit.rate_hz for fit in fits)
     times = (
@@ -226,17 +224,14 @@ def _of_spectra(
 
 
 def covered_frequencies(horizon_s: float, step_s: float, *, lowest: float = _LOWEST) -> FloatArray:
-    """Return the frequencies to cover, shape (f,), in Hz; the lowest is `lowest` / `horizon_s`."""
+    """Return the frequencies to cover, in Hz."""
     return np.geomspace(lowest / horizon_s, 0.5 / step_s, _FREQUENCIES)
 
 
 def _of_curves(
     fits: Sequence[NoiseFit], drift: Callable[[FloatArray], FloatArray], step_s: float, horizon_s: float
 ) -> _Goal:
-    """Return the upper limits of all curves within the horizon, or their values if limits are unknown.
-
-    Times beyond a curve's end are left out, because the record is too short for them.
-    """
+    """Return the upper limits of all curves within the horizon, or their values."""
     times, upper = [], []
     for fit in fits:
         curve = fit.curve

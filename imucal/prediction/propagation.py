@@ -1,8 +1,8 @@
 """Values and limits of quantities that are linear in the squared coefficients of a fit, such as a psd.
 
-Each is a sum over the terms. Its limits follow from the limits of the coefficients by the method of variance
-estimates recovery (MOVER): the distances of each term's share to its own limits are added as a quadratic form
-with the fit's correlations.
+The limits follow from the limits of the coefficients by the method of variance estimates recovery (MOVER):
+the distances of each term's share to its own limits are added as a quadratic form with the fit's
+correlations.
 
 Source: Zou & Donner (2008), "Construction of confidence limits about effect measures: a general approach",
 Statistics in Medicine 27, 1693.
@@ -22,23 +22,23 @@ from imucal.fitting.noise_fit import Estimate, Interval, NoiseFit
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS, GaussMarkov
 
-#: Function of a term: a value, or one per time or frequency, linear in the squared coefficient.
+#: Function of a term that is linear in the squared coefficient.
 Quantity: TypeAlias = Callable[[NoiseTerm], FloatArray]
 
-#: Least number of blocks of the coast and of the rest before it; largest number of both together.
+#: Least number of blocks of coast and rest; largest number of both together.
 _BLOCKS, _MAX_BLOCKS = 120, 1 << 18
-#: Largest number of block sizes to try: one of them leaves a remainder below 1e-3.
+#: Largest number of block sizes to try.
 _TRIED = 50
-#: Limits of a correlation time are clipped to this share and its inverse; below, the term is white noise.
+#: Limits of a correlation time are clipped to this share and its inverse.
 _SHORTEST_TIME = 1 / 30
-#: Number of integrals of the sensor's output that give each error.
+#: Number of integrals of the sensor's output.
 ANGLE, POSITION, TILT = 1, 2, 3
 
 
 class Caution(NamedTuple):
     """How far a term is moved from its value to its limit, as a share of the distance in power.
 
-    `bounded` applies to terms with an upper bound only, whose value is 0; `shown` to terms with a value.
+    `bounded` applies to terms with an upper bound only; `shown` to terms with a value.
     """
 
     bounded: float
@@ -55,13 +55,12 @@ class Caution(NamedTuple):
         return cls(normal.inv_cdf((1 + level) / 2) / whole, normal.inv_cdf(level) / whole)
 
 
-#: The limits themselves.
 LIMITS = Caution(1.0, 1.0)
-#: The mean over the uncertainty: mean of a half-normal deviate divided by its 95 % quantile.
+#: Mean of a half-normal deviate divided by its 95 % quantile.
 MEAN = Caution(math.sqrt(2 / math.pi) / NormalDist().inv_cdf(0.975), 0.0)
 
 
-#: Name of a parameter of the fit, or empty; change of the quantity if the parameter goes to its limit.
+#: Name of a parameter of the fit, or empty; change of the quantity if it goes to its limit.
 _Excursion: TypeAlias = tuple[str, FloatArray]
 
 
@@ -77,10 +76,7 @@ def shares(fit: NoiseFit, of: Quantity) -> dict[str, FloatArray]:
 
 
 def upper_limit(fit: NoiseFit, of: Quantity, caution: Caution = LIMITS) -> FloatArray:
-    """Return the upper limit of a quantity, shape as `of` returns it for one term.
-
-    `caution` sets how far each term is moved to its limit; the default gives the fit's level.
-    """
+    """Return the upper limit of a quantity, shape as `of` returns it; by default at the fit's level."""
     return modelled(fit, of) + _joint(fit, _excursions(fit, of, caution, up=True))
 
 
@@ -95,13 +91,10 @@ def coasting_variance(
     """Return the variance of the error after coasting, shape (t,), in (U s^integrals)².
 
     The bias is the mean of a rest of `rest_s`. The samples of a term minus the bias are then integrated
-    `integrals` times over `times_s`, shape (t,): once for the angle of a gyroscope or the velocity of an
-    accelerometer, twice for a position, three times for the position error from a tilt, per unit of gravity.
-    Times that are not positive raise a ValueError.
+    `integrals` times over `times_s`, shape (t,). Times that are not positive raise a ValueError.
 
     The error is a sum of samples with weights w of sum zero. Its variance is -w/2' D w with the mean square
-    differences D, whose second sums V(n) are `sum_variance` of the term. Blocks of samples shorten the sum,
-    accurate to 1e-3 if a block is a hundredth of the rest and of the coast.
+    differences D, whose second sums V(n) are `sum_variance` of the term. Blocks of samples shorten the sum.
     """
     times = np.atleast_1d(np.asarray(times_s, dtype=np.float64))
     if not (np.all(times > 0) and rest_s > 0):
@@ -112,18 +105,18 @@ def coasting_variance(
 def _coasting(term: NoiseTerm, coast_s: float, rest_s: float, rate_hz: float, integrals: int) -> float:
     coast, rest = (max(1, round(t * rate_hz)) for t in (coast_s, rest_s))
     largest = max(1, round(min(coast, rest) / _BLOCKS), math.ceil((coast + rest) / _MAX_BLOCKS))
-    # The block size, down to half the largest, that divides rest and coast with the least remainder.
+    # The block size that divides rest and coast with the least remainder.
     sizes = range(largest, largest // 2, -1)[:_TRIED]
     size = min(sizes, key=lambda size: sum(abs(round(n / size) * size - n) / n for n in (coast, rest)))
     resting, coasting = (max(1, round(n / size)) for n in (rest, coast))
     blocks = resting + coasting
-    # Covariances of the sums of blocks, up to a constant that cancels for weights of sum zero.
+    # Covariances of the sums; a constant cancels.
     V = term.sum_variance(np.arange(blocks + 1.0) * size, 1 / rate_hz) / rate_hz**2
     covariance = np.concatenate([V[1:2], (V[2:] - 2 * V[1:-1] + V[:-2]) / 2])
     left = (coasting - 0.5 - np.arange(coasting)) * size / rate_hz
     weights = np.concatenate([np.zeros(resting), left ** (integrals - 1) / math.factorial(integrals - 1)])
     weights[:resting] = -weights.sum() / resting
-    # The quadratic form of a Toeplitz matrix, as a product of transforms.
+    # The quadratic form of a Toeplitz matrix by transforms.
     length = 1 << (2 * blocks).bit_length()
     circulant = np.concatenate([covariance, np.zeros(length - 2 * blocks + 1), covariance[:0:-1]])
     power = np.abs(np.fft.rfft(weights, length)) ** 2 * np.fft.rfft(circulant).real
@@ -149,8 +142,8 @@ def _held(fit: NoiseFit) -> Iterator[tuple[Estimate, bool]]:
 def _term(estimate: Estimate, coefficient: float, time: float | None = None) -> NoiseTerm:
     """Return the term of an estimate with another coefficient or time.
 
-    A bounded Gauss-Markov term has no T. Flicker of the same coefficient covers it for every T, since the
-    maximum of 2 sigma² T / (1 + omega² T²) over all T is sigma² / omega.
+    Flicker covers a bounded Gauss-Markov term for every T, since the maximum of 2 sigma² T / (1 + omega² T²)
+    over all T is sigma² / omega.
     """
     if estimate.correlation_time is not None:
         return TERMS[estimate.symbol].of(coefficient, time or estimate.correlation_time.value)
@@ -173,7 +166,7 @@ def _excursions(fit: NoiseFit, of: Quantity, caution: Caution, *, up: bool) -> I
             yield "", caution.shown * np.maximum(beyond, 0.0)
             continue
         own, end = of(_term(estimate, value)), estimate.high if up else estimate.low
-        # Without an upper limit of the term the quantity has none either.
+        # If a term has no upper limit, the quantity has none.
         beyond = sign * (of(_term(estimate, end)) - own) if end < math.inf else np.full_like(own, math.inf)
         names = TERMS[estimate.symbol].parameter_names(estimate.key)
         yield names[0], caution.shown * beyond

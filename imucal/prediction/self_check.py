@@ -1,17 +1,13 @@
 """Check whether one half of a record predicts the other.
 
-A fit that describes a whole record may still predict badly, because the noise changes within hours or the
-bias follows no term. So the coefficients of the fitted terms are estimated from one half of the record, and
-the Allan variance that they predict is compared with the other half's.
-
-Both are sums over a spectrum. The binned psd P_b of c_b ordinates of a half, averaged to blocks, is S_b
-chi²(c_b) / c_b, where S_b is linear in the squared coefficients: weighted least squares with the fit's
-spectrum estimate them without bias, and their covariance. The Allan variance at t is the sum of w_b P_b with
+A fit that describes a whole record may still predict badly, because the noise changes. So the coefficients
+of the fitted terms are estimated from one half of the record by weighted least squares of its binned psd P_b
+with c_b ordinates, and the Allan variance that they predict is compared with the other half's. The Allan
+variance at t is the sum of w_b P_b with
 
     w_b = 4/(pi t) (I(pi t f_high) - I(pi t f_low)),   I(x) = Si(2x) - Si(4x)/2 - sin⁴x / x,
 
-where I is the integral of sin⁴x / x². Observed over predicted has Fisher's F distribution, with degrees of
-freedom from the variances of both.
+where I is the integral of sin⁴x / x². Observed over predicted has Fisher's F distribution.
 
 Source: Rutman & Walls (1991), Proc. IEEE 79, 952 (the Allan variance as an integral of the psd).
 """
@@ -33,21 +29,21 @@ from imucal.frozen import frozen
 from imucal.noise.terms import TERMS
 from imucal.recording import AxisSeries
 
-#: Averaging times at which the halves are compared, in s.
+#: Compared averaging times, in s.
 TIMES_S = (10.0, 30.0, 100.0, 300.0)
 #: Least length of a half, in averaging times.
 _LONGER = 12.0
-#: Highest frequency in use, in Hz: higher ones add half a percent to an Allan variance at 10 s.
+#: Highest frequency in use, in Hz; higher ones hardly matter at 10 s.
 _HIGHEST = 3.0
-#: Blocks per period of the highest frequency; least ratio of an output filter's corner to that frequency.
+#: Blocks per period of the highest frequency; least ratio of a filter's corner to it.
 _FINE, _BELOW = 4.0, 4.0
-#: If samples are missing: least number of places of a block, and inverse of its least filled share.
+#: Least number of places of a block with gaps, and inverse of its least filled share.
 _SPARSE = 4
 #: False alarm rate of the check per record.
 _CHANCE = 0.01
-#: Lower limit of a prediction, as a share of the fitted model's: least squares may give negative values.
+#: Lower limit of a prediction, as a share of the model's: least squares may give negative values.
 _MIN_SHARE = 0.05
-#: Number of bins to leave out around each line.
+#: Number of bins left out around each line.
 _OF_LINE = 3
 
 
@@ -55,8 +51,8 @@ _OF_LINE = 3
 class Prediction:
     """The prediction of one half of a record from the other, at one averaging time.
 
-    `half`, 1 or 2, is the observed half. `predicted` and `observed` are Allan deviations in U. `score` is the
-    standard-normal score of observed over predicted variance.
+    `half`, 1 or 2, is the observed half. `predicted` and `observed` are Allan deviations in U. `score` is
+    standard-normal.
     """
 
     half: int
@@ -69,9 +65,8 @@ class Prediction:
 def half_predictions(series: AxisSeries, fit: NoiseFit) -> tuple[Prediction, ...]:
     """Return how well each half of a record predicts the other; () if the record is too short.
 
-    Samples are finite, with gaps allowed, after subtracting the shapes that their `fit` by maximum likelihood
-    took out. Terms, correlation times and lines come from the fit; the squared coefficients of its terms and
-    of N, B and K are estimated from each half.
+    Samples are finite, gaps allowed, after subtracting the shapes that their `fit` by maximum likelihood took
+    out.
     """
     highest = min(_HIGHEST, series.rate_hz / 2, (fit.goodness.band_hz or (0.0, math.inf))[1])
     if fit.response is not None:
@@ -103,13 +98,13 @@ def self_check(
     """Return a warning if one half of a record predicts the other badly.
 
     Samples are finite, spikes replaced, gaps allowed; their `fit` is by maximum likelihood. `temperature`,
-    shape (n,), is in degrees Celsius at the samples.
+    shape (n,), is in degrees Celsius.
     """
     if fit.taken_out:
         series = without_disturbances(series, fit, temperature)
     found = half_predictions(series, fit)
     worst = max(found, key=lambda one: abs(one.score), default=None)
-    # Bonferroni's bound, because the scores of neighbouring times are correlated.
+    # Bonferroni's bound: the scores are correlated.
     if worst is None or abs(worst.score) <= -NormalDist().inv_cdf(_CHANCE / 2 / len(found)):
         return ()
     names = ("first", "second")
@@ -147,7 +142,7 @@ def _blocks(series: AxisSeries, size: int) -> AxisSeries:
 
 
 class _Half:
-    """The binned psd of a half, the weights of its Allan variances, and the fit's terms at its bins."""
+    """The binned psd of a half, the weights of its Allan variances, and the fit's terms."""
 
     def __init__(self, own: Spectrum, fit: NoiseFit, times: FloatArray, tau0: float, highest: float) -> None:
         keep = own.frequency <= highest

@@ -30,7 +30,7 @@ __all__ = ["amount", "screen_units", "screen_values", "worst_first"]
 AxisCheck: TypeAlias = Callable[[Profile], tuple[Finding, ...]]
 LogCheck: TypeAlias = Callable[[Sequence[Profile]], tuple[Finding, ...]]
 
-#: Code of the finding for a check that failed to run.
+#: Code of a check that failed to run.
 _FAILED = "not-checked"
 #: Checks over all axes with data.
 _LOG_CHECKS: tuple[LogCheck, ...] = (
@@ -40,7 +40,7 @@ _LOG_CHECKS: tuple[LogCheck, ...] = (
     check_accelerometer_unit,
     check_filled,
 )
-#: Checks that the IMU was at rest; they stop at the first one that finds motion.
+#: Checks that the IMU was at rest, up to the first that finds motion.
 _REST_CHECKS: tuple[LogCheck, ...] = (check_tremor, check_shaken, check_turned, check_motion)
 #: Checks of one axis with data.
 _AXIS_CHECKS: tuple[AxisCheck, ...] = (check_not_finite, check_stuck, check_saturated, check_lsb)
@@ -49,8 +49,7 @@ _AXIS_CHECKS: tuple[AxisCheck, ...] = (check_not_finite, check_stuck, check_satu
 def screen_values(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
     """Return findings about a recording's values and about motion during it; worst first.
 
-    The samples are read once, in blocks, up to `workers` axes at a time. NaN, gaps and runs of fewer than 16
-    samples are left out.
+    The samples are read once, in blocks, up to `workers` axes at a time.
     """
 
     def made(series: AxisSeries) -> tuple[Profile | None, tuple[Finding, ...]]:
@@ -95,7 +94,7 @@ def worst_first(recording: Recording, findings: Iterable[Finding]) -> tuple[Find
 
 
 def _moved(alive: Sequence[Profile]) -> tuple[Finding, ...]:
-    """Return the findings of the first check that finds motion, and of checks that failed before it."""
+    """Return the findings of the first check that finds motion, and of failed checks before it."""
     moved: tuple[Finding, ...] = ()
     for check in _REST_CHECKS:
         moved += _judged(check, alive)
@@ -107,6 +106,5 @@ def _moved(alive: Sequence[Profile]) -> tuple[Finding, ...]:
 def _judged(
     check: Callable[..., tuple[Finding, ...]], *checked: object, axis: str | None = None
 ) -> tuple[Finding, ...]:
-    """Return the findings of a check, or a finding that explains why it failed."""
     what = f"No check for {check.__name__.removeprefix('check_').replace('_', ' ')}"
     return findings_or_why_not(partial(check, *checked), what=what, code=_FAILED, axis=axis)

@@ -11,32 +11,32 @@ from imucal.recording import Sensor
 from imucal.screening.values import gravity, shaken
 from imucal.screening.windows import Profile, amount, name_list, span, time, usual_variance
 
-#: Disturbances closer than this are joined, in s.
+#: Gap below which disturbances are joined, in s.
 _APART_S = 3.0
 #: Quiet time removed on both sides of a disturbance, in s.
 _SETTLE_S = 1.0
 #: Shortest rest worth keeping, in s.
 _WORTH_S = 5.0
-#: A log disturbed for more than this fraction of it was not at rest.
+#: Disturbed fraction of a log above which it was not at rest.
 _MOVING = 0.2
-#: Disturbances within this fraction of the log from an end belong to its start or end.
+#: Fraction of the log that belongs to its start or end.
 _ENDS = 0.1
-#: Disturbances with more than this times the noise's energy over the log are an error.
+#: Ratio of the disturbances' energy to the noise's above which they are an error.
 _LOUDER = 1.0
-#: A larger change of gravity's direction, in degrees, is a turn, not a drift of a bias.
+#: Change of gravity's direction, in degrees, that is a turn and no drift.
 _TURN_DEG = 2.0
-#: Windows averaged for a pose, and the smallest gravity, in U, that shows one.
+#: Windows averaged for a pose, and the smallest gravity, in U.
 _POSE_WINDOWS, _MIN_GRAVITY = 5, 0.5
 
-#: The band of a hand, a walking person or an engine, in Hz.
+#: Band of a hand, a walking person or an engine, in Hz.
 _BAND_HZ = (0.5, 10.0)
-#: Rate in the band, in rad/s rms, of no gyroscope at rest: ten times the rate of a poor one.
+#: Rate in the band, in rad/s rms: ten times that of a poor gyroscope at rest.
 _LOUD = 3e-3
 #: Shortest and longest transformed stretch, in samples.
 _SHORTEST, _LONGEST = 256, 16384
-#: Stretches: minimum, number wanted from a short log, and maximum, spread evenly over a long one.
+#: Stretches: minimum, number wanted from a short log, and maximum.
 _MIN_STRETCHES, _USUAL_STRETCHES, _MAX_STRETCHES = 4, 16, 256
-#: Coloured noise has a density in the band this many times as high as in the upper half of frequencies.
+#: Density in the band over that in the upper half of frequencies of coloured noise.
 _COLOURED = 8.0
 
 
@@ -55,7 +55,7 @@ class Disturbance:
 
 
 def check_shaken(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
-    """Return an error if an accelerometer without gravity moves: linear acceleration of a moving device."""
+    """Return an error if an accelerometer without gravity moves."""
     if not (found := shaken(profiles)):
         return ()
     axis, deviation = found
@@ -102,8 +102,8 @@ def _tremor(profile: Profile) -> float:
 def density_at_rest(profile: Profile) -> FloatArray | None:
     """Return the two-sided density, in U²/Hz, of stretches without gaps and disturbances.
 
-    Shape (k,), at equal spacing from 0 to the Nyquist frequency, from Hann windows that overlap by half. None
-    if fewer than four stretches of 256 samples fit. O(n log n), with at most 256 stretches.
+    It has equal spacing from 0 to the Nyquist frequency. None if fewer than four stretches of 256 samples
+    fit.
 
     Source: Welch (1967), IEEE Trans. Audio Electroacoust. 15(2).
     """
@@ -126,7 +126,6 @@ def density_at_rest(profile: Profile) -> FloatArray | None:
 
 
 def _stretches(profile: Profile, size: int) -> IntArray:
-    """Return the first samples of undisturbed stretches of `size` samples, shape (k,)."""
     windows, segments = profile.windows, profile.series.clock.segments
     avoid = windows.start[profile.disturbed]
     starts = [np.arange(s.start, s.stop - size + 1, size // 2) for s in segments if s.size >= size]
@@ -215,7 +214,7 @@ def disturbances_of(profiles: Sequence[Profile]) -> list[Disturbance]:
 
 
 def _spans(profile: Profile) -> list[tuple[float, float, float]]:
-    """Return start, end and level over the noise of each run of disturbed windows of an axis."""
+    """Return start, end and level over the noise of each run of disturbed windows."""
     windows, marks = profile.windows, profile.disturbed
     if not marks.any():
         return []
@@ -231,7 +230,6 @@ def _spans(profile: Profile) -> list[tuple[float, float, float]]:
 
 
 def _level(profiles: Sequence[Profile], disturbances: list[Disturbance], duration: float) -> Level:
-    """Return ``error`` if disturbances have more energy than the noise of an axis, if not ``warning``."""
     loud = any(_power(profile, disturbances) > _LOUDER * duration for profile in profiles)
     return "error" if loud else "warning"
 
@@ -255,7 +253,7 @@ def _power(profile: Profile, disturbances: list[Disturbance]) -> float:
 
 
 def _scale(profile: Profile) -> float:
-    """Return the variance of a quiet window, in U²; at least the variance of rounding."""
+    """Return the variance of a quiet window, in U²; at least that of rounding."""
     return max(usual_variance(profile.windows), (profile.lsb or 0.0) ** 2 / 12)
 
 

@@ -15,19 +15,19 @@ from imucal.units import G0
 
 #: Probability that noise repeats one value through a window by chance.
 _FALSE_ALARM = 1e-6
-#: Clipping: this many samples at the extreme value, and this many times the next value's.
+#: Clipping: least number of samples at the extreme value, and in multiples of the next value's.
 _MIN_AT_LIMIT, _LIMIT_RATIO = 8, 5.0
-#: An extreme closer to the middle than this many steps is caused by a coarse resolution, not by clipping.
+#: Distance of an extreme from the middle, in steps, up to which it is due to a coarse resolution.
 _MIN_STEPS = 4.0
-#: Samples that are not finite are a warning above this fraction.
+#: Fraction of samples that are not finite from which they are a warning.
 _MANY = 1e-3
-#: Repeated samples below this fraction are not reported.
+#: Least reported fraction of repeated samples.
 _MIN_REPEATS = 0.005
-#: Noise below this many LSB no longer dithers the rounding, so LSB^2/12 cannot correct N.
+#: Noise, in LSB, below which LSB^2/12 cannot correct N.
 _COARSE = 0.5
-#: White noise of two axes never has this correlation; a duplicated column does.
+#: Correlation that only duplicated columns have.
 _COPY = 0.999
-#: Minimum number of samples to detect copied axes or repeated samples.
+#: Minimum number of samples for a comparison.
 _MIN_SAMPLES = 64
 
 
@@ -159,7 +159,7 @@ def _held(group: list[Profile]) -> float:
 
 def _interpolated(group: list[Profile]) -> float:
     def midway(p: Profile, samples: FloatArray) -> BoolArray:
-        # A text log rounds each of three samples by up to half a step.
+        # A text log rounds each sample by up to half a step.
         rounding = max(2.01 * (p.lsb or 0.0), 8 * float(np.spacing(np.abs(samples).max())))
         steps = np.diff(samples)
         return np.asarray((np.abs(np.diff(steps)) <= rounding) & (steps[1:] != 0))
@@ -209,7 +209,7 @@ def check_duplicates(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
 
 
 def _correlation(one: Profile, two: Profile) -> float:
-    """Return the correlation of the differences between successive samples, over an excerpt."""
+    """Return the correlation of the differences between successive samples."""
     products = np.zeros(3)
     for part in excerpt(one.series.n):
         x, y = np.diff(one.series.samples[part]), np.diff(two.series.samples[part])
@@ -218,17 +218,17 @@ def _correlation(one: Profile, two: Profile) -> float:
     return xy / (xx**0.5 * yy**0.5) if xx > 0 and yy > 0 else 0.0
 
 
-#: Range of gravity of an uncalibrated accelerometer, in m/s²: within 20 %.
+#: Range of gravity of an uncalibrated accelerometer, in m/s².
 _GRAVITY = (0.8 * G0, 1.2 * G0)
-#: Below this, in m/s², the values contain no gravity in any unit.
+#: Length, in m/s², below which there is no gravity in any unit.
 _NO_GRAVITY = 0.3
-#: Largest mean vector, in m/s², without gravity, and smallest standard deviation of a moving accelerometer.
+#: Largest mean vector without gravity, and smallest deviation of a moving accelerometer, in m/s².
 _WEIGHTLESS, _SHAKEN = 0.3 * G0, 0.3
-#: Largest N of a gyroscope, in rad/s/sqrt(Hz): poor ones have 1e-3.
+#: Largest N of a gyroscope, in rad/s/sqrt(Hz).
 _NOISY = 4e-3
-#: Largest bias of a gyroscope, in rad/s: 20 deg/s is the largest in data sheets.
+#: Largest bias of a gyroscope, in rad/s.
 _BIASED = 0.4
-#: LSB of common gyroscopes, in deg/s: 131, 65.5, 32.8, 16.4 and 16 counts and 4.375 … 70 mdeg/s.
+#: LSB of common gyroscopes, in deg/s.
 _GYRO_LSB = (1 / 131, 1 / 65.5, 1 / 32.8, 1 / 16.4, 1 / 16, 250 / 32768, 1000 / 32768, 2000 / 32768,
              0.004375, 0.00875, 0.0175, 0.035, 0.07)  # fmt: skip
 #: Relative tolerance of a match with one of these.
@@ -296,7 +296,7 @@ def check_accelerometer_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]
 
 
 def _unit_advice(sensor: Sensor, unit: str) -> str:
-    """Return advice for data that seem to be in `unit`: a unit, ``count``, or empty if unknown."""
+    """Return advice for data that seem to be in `unit`: a unit, ``count``, or empty."""
     scales = "all its numbers scale with the unit."
     if not unit:
         return f"Give the {sensor}'s unit when reading; {scales}"
@@ -333,7 +333,7 @@ def check_gyroscope_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
 
 
 def _gyroscope_reason(gyro: Sequence[Profile]) -> str | None:
-    """Return the strongest evidence that a gyroscope is in another unit; None for rad/s."""
+    """Return the strongest evidence that a gyroscope is in another unit, or None."""
     if _are_counts(gyro):
         return "all its values are whole numbers, like raw counts"
     known = [p.lsb for p in gyro if p.lsb and any(abs(p.lsb / lsb - 1) < _AGREE for lsb in _GYRO_LSB)]
@@ -351,17 +351,16 @@ def _gyroscope_reason(gyro: Sequence[Profile]) -> str | None:
     return None
 
 
-#: Lowest and highest rate, in Hz: averages of 1 s are logged, and bench instruments reach 100 kHz.
+#: Lowest and highest rate, in Hz, of averages and of bench instruments.
 _SLOWEST, _FASTEST = 0.5, 150e3
-#: Highest rate of MEMS sensors, in Hz: 32 kHz, with a margin for their clocks.
+#: Highest rate of MEMS sensors, in Hz, with a margin for their clocks.
 _FASTEST_MEMS = 40e3
 
 
 def check_rate(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     """Return an error for each rate that suggests time stamps in another unit, or a wrong given rate.
 
-    A rate too high for MEMS sensors but possible for bench instruments is a warning: 100 kHz may also be 100
-    Hz with time stamps in the wrong unit.
+    A rate that only bench instruments reach is a warning.
     """
     found = []
     advice = "Check the unit of the time stamps (s, ms, us, ns), or give the sampling rate in Hz."
@@ -376,14 +375,14 @@ def check_rate(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-#: Change of temperature that is reported, in degrees.
+#: Reported change of temperature, in degrees.
 _LARGE_CHANGE = 3.0
 
 
 def temperature_finding(temperature: Temperature | None) -> tuple[Finding, ...]:
-    """Return a note on a large change of temperature, whether or not an axis follows it."""
+    """Return a note on a large change of temperature."""
     degrees = temperature.samples[np.isfinite(temperature.samples)] if temperature else np.zeros(0)
-    # Means of nine samples suppress the thermometer's own noise.
+    # Means suppress the thermometer's own noise.
     change = float(np.ptp(np.convolve(degrees, np.full(9, 1 / 9), "valid"))) if degrees.size > 32 else 0.0
     if change <= _LARGE_CHANGE:
         return ()

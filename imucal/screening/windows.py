@@ -1,8 +1,7 @@
 """The windows of an axis, and which of them are disturbed: computed once for all checks.
 
-Most checks use this small table instead of the samples. A window is disturbed if it is louder than the quiet
-ones, or has another mean. All limits come from the axis's own quiet windows, so that a touch does not hide
-itself by raising the limit.
+A window is disturbed if it is louder than the quiet ones, or has another mean. All limits come from the
+axis's own quiet windows, so that a touch does not hide itself by raising the limit.
 """
 
 import math
@@ -19,13 +18,13 @@ from imucal.frozen import frozen_alone
 from imucal.recording import AxisSeries, Sensor
 from imucal.units import G0
 
-#: Length of a window, in s: long compared with a knock's ringing, short compared with the part to keep.
+#: Length of a window, in s: long compared with a knock's ringing.
 _LENGTH_S = 0.5
-#: Minimum samples of a window: its variance then has 15 degrees of freedom.
+#: Minimum samples of a window.
 _MIN_SAMPLES = 16
 #: Number of windows wanted from a short log.
 _USUAL_WINDOWS = 64
-#: Samples processed at a time: they fit in the cache, and a mapped file is never fully in memory.
+#: Samples processed at a time; a mapped file is never fully in memory.
 _BLOCK = 1 << 17
 
 
@@ -34,9 +33,8 @@ class Windows(ReadOnlyArrays):
     """Statistics of each window of an axis; all arrays have shape (k,), in order of time.
 
     A window has `width` samples and spans `length_s` if none is missing. It begins at sample index `start`,
-    at `time_s` after the first sample of the axis. `low` and `high` are the extremes. `step_variance` is half
-    the mean square of successive differences: the variance of white noise. `repeats` counts samples equal to
-    the previous one.
+    at `time_s` after the first sample. `step_variance` is half the mean square of successive differences: the
+    variance of white noise. `repeats` counts samples equal to the previous one.
     """
 
     width: int
@@ -52,16 +50,13 @@ class Windows(ReadOnlyArrays):
 
     @property
     def size(self) -> int:
-        """Number of windows."""
         return self.start.size
 
     @property
     def end_s(self) -> FloatArray:
-        """End of each window, shape (k,), in s."""
         return self.time_s + self.length_s
 
     def take(self, keep: NDArray[np.bool_]) -> "Windows":
-        """Return the windows for which `keep`, shape (k,), is true."""
         names = ("start", "time_s", "mean", "variance", "step_variance", "repeats", "low", "high")
         return replace(self, **{name: getattr(self, name)[keep] for name in names})
 
@@ -69,9 +64,8 @@ class Windows(ReadOnlyArrays):
 def cut(series: AxisSeries, *, length_s: float = _LENGTH_S, least: int = _MIN_SAMPLES) -> Windows:
     """Return the windows of an axis without NaN; none if it never has `least` samples in a row.
 
-    A window never spans a gap longer than a quarter of its length; windows over shorter gaps count as
-    complete. The last window of a stretch ends with it, so it may overlap the previous one. O(n), one pass,
-    in blocks.
+    A window never spans a gap longer than a quarter of its length. The last window of a stretch ends with it,
+    so it may overlap the previous one.
     """
     width = max(least, min(round(series.rate_hz * length_s), series.n // _USUAL_WINDOWS))
     starts, places = _starts(series.clock.segments, width)
@@ -121,7 +115,7 @@ def _statistics(samples: FloatArray, starts: IntArray, width: int) -> FloatArray
         table = np.asarray(block).reshape(starts.size, width)
     else:
         table = np.lib.stride_tricks.sliding_window_view(block, width)[starts - starts[0]]
-    # Subtract the first sample before squaring, to keep precision with an offset of 1e6 deviations.
+    # Subtract the first sample to keep precision with a large offset.
     mean = table[:, 0] + (table - table[:, :1]).mean(axis=1)
     rest = table - mean[:, None]
     steps = np.diff(table, axis=1)
@@ -137,15 +131,15 @@ def _statistics(samples: FloatArray, starts: IntArray, width: int) -> FloatArray
     )
 
 
-#: Probability that an axis at rest has a disturbed window by chance.
+#: False alarm rate of an axis at rest.
 _FALSE_ALARM = 1e-4
-#: A variance or a jump must exceed its limit by this factor, because real noise varies with temperature.
+#: Factor on a limit, because real noise varies with temperature.
 _MARGIN = 1.25
-#: A spike exceeds this many robust deviations and is at most two samples long.
+#: Robust deviations that a spike exceeds.
 _SPIKE = 5 * 1.4826
-#: If more than this fraction of a window would be spikes, they are not spikes.
+#: Fraction of a window above which outliers are no spikes.
 _MAX_SPIKES = 0.15
-#: Minimum number of windows to estimate the limits.
+#: Minimum number of windows for the limits.
 _MIN_WINDOWS = 8
 #: Median of chi2(1).
 _MEDIAN_CHI2 = 0.4549364
@@ -172,9 +166,8 @@ def quietest(variance: FloatArray, count: int) -> float:
 def disturbed(windows: Windows, lsb: float | None, quiet: Windows | None = None) -> NDArray[np.bool_]:
     """Return which windows are disturbed, shape (k,).
 
-    The variance, or the jump of the mean from the previous window, exceeds the limit of chance and the
-    resolution `lsb`, below which values only toggle. The limits are estimated from the `quiet` windows, by
-    default all.
+    The variance, or the jump of the mean, exceeds the limit of chance and the resolution `lsb`. The limits
+    are estimated from the `quiet` windows, by default all.
     """
     if windows.size < _MIN_WINDOWS:
         return np.zeros(windows.size, dtype=bool)
@@ -195,10 +188,8 @@ def disturbed(windows: Windows, lsb: float | None, quiet: Windows | None = None)
 def variance_limit(variances: FloatArray, p_above: float) -> float:
     """Return the variance that a quiet window exceeds with a probability of at most about `p_above`.
 
-    A variance is a sum of weighted chi-squares. Its tail falls as exp(-x/c); c is estimated between the
-    median and the 80 % quantile, for any colour of the noise. If more than a fifth of the windows are in
-    motion, they raise c. The limit is therefore at most the limit for two degrees of freedom with the same
-    median.
+    Its tail falls as exp(-x/c); c is estimated between the median and the 80 % quantile. Windows in motion
+    raise c, so the limit is at most that of two degrees of freedom with the same median.
     """
     middle, upper = (float(q) for q in np.quantile(variances, [0.5, 0.8]))
     reach = math.log(0.5 / p_above)
@@ -207,17 +198,14 @@ def variance_limit(variances: FloatArray, p_above: float) -> float:
 
 
 def _jumps(windows: Windows) -> FloatArray:
-    """Return the change of the mean from each window to the next, shape (k - 1,); 0 over a gap."""
+    """Return the change of the mean from each window to the next; 0 over a gap."""
     jumps = np.abs(np.diff(windows.mean))
     jumps[np.diff(windows.time_s) > 1.5 * windows.length_s] = 0.0
     return jumps
 
 
 def without_spikes(series: AxisSeries, windows: Windows, suspects: NDArray[np.bool_]) -> Windows:
-    """Return the windows, with outliers of one or two samples removed from the suspects' statistics.
-
-    Spikes are errors of the data, not motion; the fit removes and counts them.
-    """
+    """Return the windows, with outliers of one or two samples removed from the suspects' statistics."""
     mean, variance = windows.mean.copy(), windows.variance.copy()
     offsets = np.arange(windows.width)
     for index in np.array_split(
@@ -235,10 +223,10 @@ def without_spikes(series: AxisSeries, windows: Windows, suspects: NDArray[np.bo
 
 
 def _spikes(table: FloatArray) -> NDArray[np.bool_]:
-    """Return which samples of each row are outliers, alone or in pairs, shape of `table`."""
+    """Return which samples of each row are outliers, alone or in pairs."""
     rest = np.abs(table - np.median(table, axis=1, keepdims=True))
     deviation = np.median(rest, axis=1, keepdims=True)
-    # If most samples of a coarse axis are equal, use the mean deviation.
+    # Most samples of a coarse axis may be equal.
     deviation = np.where(deviation > 0, deviation, rest.mean(axis=1, keepdims=True))
     out = np.pad(rest > _SPIKE * deviation, ((0, 0), (2, 2)))
     left, here, right = out[:, 1:-3], out[:, 2:-2], out[:, 3:-1]
@@ -247,11 +235,11 @@ def _spikes(table: FloatArray) -> NDArray[np.bool_]:
     return here & ~longer
 
 
-#: Number and length of the stretches that are used to find the LSB, spread over the log.
+#: Number and length of the stretches for the LSB.
 _STRETCHES, _STRETCH = 16, 2048
-#: Steps larger than this many LSB are not used to find the LSB.
+#: Largest step for the LSB, in LSB.
 _FEW = 12
-#: A step may differ by this fraction of an LSB from a multiple: decimal and float32 rounding.
+#: Tolerance of a multiple, in LSB: decimal and float32 rounding.
 _TOLERANCE = 0.15
 
 
@@ -260,8 +248,8 @@ class Profile:
     """One axis for the checks, without the `left_out` NaN, infinite and impossible samples.
 
     Mean and variance of suspect `windows` exclude spikes. `disturbed`, shape (k,), marks the windows that are
-    not at rest. `lsb` is the step of the values in U, None if they are not on a lattice. `noise` is the
-    standard deviation of the white noise per sample, in U.
+    not at rest. `lsb` is the step of the values in U. `noise` is the standard deviation of the white noise
+    per sample, in U.
     """
 
     series: AxisSeries
@@ -273,17 +261,15 @@ class Profile:
 
     @property
     def name(self) -> str:
-        """`gyro_x` … `accel_z`."""
         return self.series.name
 
     @property
     def constant(self) -> bool:
-        """Whether all samples are equal."""
         return not self.windows.size or bool(self.windows.low.min() == self.windows.high.max())
 
 
 def profile(series: AxisSeries, resting: Callable[[Windows], Windows] | None = None) -> Profile:
-    """Return the profile of an axis; one pass over the samples.
+    """Return the profile of an axis.
 
     For a log that is mostly in motion, `resting` selects the windows at rest.
     """
@@ -319,7 +305,7 @@ def resolution(series: AxisSeries) -> float | None:
     if values.size < 2:
         return None
     steps = np.diff(values)
-    # Values closer than the rounding of a 32-bit float are equal.
+    # Closer values differ by the rounding of a 32-bit float.
     steps = steps[steps > 4e-7 * np.abs(values).max()]
     if not steps.size:
         return None

@@ -1,8 +1,8 @@
 """GMWM: the noise model whose Allan variances are nearest to the measured ones.
 
 The generalised method of wavelet moments on the overlapping Allan variance. The weight ``full`` is the
-inverse covariance of the curve: first of the largest model, then of the chosen model until it converges. The
-weight ``eta3`` ignores the correlation of averaging times; the confidence intervals allow for it.
+inverse covariance of the curve: first of the largest model, then of the chosen one. The weight ``eta3``
+ignores the correlation of averaging times.
 
 Source: Guerrier, Skaloud, Stebler & Victoria-Feser (2013), "Wavelet-variance-based estimation for composite
 stochastic processes", JASA 108, 1021; the full covariance: `imucal.fitting.moments.points`.
@@ -24,7 +24,6 @@ from imucal.fitting.settings import FitSettings
 from imucal.noise.model import structure_text
 from imucal.recording import AxisSeries
 
-#: Models within this distance of the best criterion are reported.
 _REPORTED = 6.0
 
 
@@ -36,8 +35,8 @@ def fit_gmwm(
 ) -> NoiseFit:
     """Fit a noise model to Allan variances, overlapping or standard; `series` is None for a curve alone.
 
-    With full weights, the shortest averaging times are left out if an output filter keeps every model from
-    describing them. A curve with too few averaging times, or of other variances, raises a DataError.
+    With full weights, the shortest averaging times are left out behind an output filter. A curve with too few
+    averaging times, or of other variances, raises a DataError.
     """
     points = avar_points(series, curve)
     if (structure := settings.structure) is not None:
@@ -87,7 +86,6 @@ def _eta3_widths(points: AvarPoints) -> FloatArray:
 def _with_edf(
     curve: AllanCurve, points: AvarPoints, solution: Solution, covariance: FloatArray
 ) -> AllanCurve:
-    """Return the curve with the model's degrees of freedom if it has none."""
     if np.any(np.isfinite(curve.edf)):
         return curve
     edf = 2 * solution.avar(points) ** 2 / np.diag(covariance)

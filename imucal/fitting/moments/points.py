@@ -1,16 +1,11 @@
 """The points of an Allan curve that a fit uses, and their covariance in closed form.
 
-Variances are relative to a typical Allan variance of the curve, and times to the sampling period, so that
-results do not depend on the unit of the samples.
-
-An Allan variance is a mean of squares of d_t, the second differences of the summed signal. For Gaussian
-noise the covariance of two Allan variances is therefore a sum of squared covariances of d_t. They follow from
-V(n), the generalised variance of a sum of n samples, of each term (a multiple of n² cancels):
+Variances are relative to a typical Allan variance, and times to the sampling period. An Allan variance is a
+mean of squares of d_t, the second differences of the summed signal. For Gaussian noise the covariance follows
+from each term's V(n), the generalised variance of a sum of n samples:
 
     cov(d_t at m_i, d_{t+k} at m_j) = -1/(4 m_i m_j) sum_ab c_a c_b V(|k + b m_j - a m_i|),
     cov(avar_i, avar_j) = 2/(M_i M_j) sum_k n_ij(k) s_ij(k)^2,        c = (1, -2, 1).
-
-The sum is quadratic in the terms' variances, with coefficients that are computed once for a set of terms.
 
 Source: Greenhall & Riley (2003), "Uncertainty of stability variances based on finite differences", for one
 averaging time; two averaging times are analogous.
@@ -38,11 +33,11 @@ _SIGNS = np.array([1.0, -2.0, 1.0])
 _ALL_LAGS = 300
 #: All lags up to this distance from a kink are summed; beyond it, four per octave.
 _NEAR = 6
-#: Largest lag, in averaging times: the covariance of flicker falls with the fourth power of the lag.
+#: Largest lag, in averaging times: the covariance of flicker falls with the fourth power.
 _FLICKER_REACH = 24
-#: Largest lag beyond the windows of a term with a correlation time, in such times.
+#: Largest lag beyond the windows, in correlation times.
 _TIMES_REACH = 20.0
-#: Smallest ratio of neighbouring averaging times of a fit; closer ones add almost no information.
+#: Smallest ratio of neighbouring averaging times; closer ones add almost no information.
 _MIN_SPACING = 1.9
 
 
@@ -69,12 +64,10 @@ class AvarCovariance(ReadOnlyArrays):
 
 
 def avar_covariance(m: IntArray, n: int, terms: Sequence[NoiseTerm], *, overlapping: bool) -> AvarCovariance:
-    """Return the covariance of the Allan variances of `n` samples at averaging factors `m`.
+    """Return the covariance of the Allan variances of `n` samples at averaging factors `m`, shape (k,).
 
-    The factors, shape (k,), are from 1 to n // 2; others raise a ValueError. `terms` have unit variances, and
-    times in samples. If not `overlapping`, the Allan variances are those of adjacent windows. Lags are summed
-    on a grid that is dense near the kinks of the covariance: about a thousand evaluations per pair of
-    averaging times, with a relative error below 1e-3.
+    Factors outside 1 … n // 2 raise a ValueError. `terms` have unit variances, and times in samples. The
+    relative error is below 1e-3.
     """
     if m.size and not (m.min() >= 1 and m.max() <= n // 2):
         raise ValueError(f"averaging factors must be in 1..{n // 2} for {n} samples")
@@ -100,7 +93,7 @@ def _computed(
                 row[:] = covariances[term] if term in covariances else _lag_covariance(lags, mi, mj, term)
             weighted = covariance * weight
             quadratic[..., i, j] = quadratic[..., j, i] = 2 * weighted @ covariance.T
-            # A ramp gives d_t at m the mean w m / sqrt(2). Negative sums of covariances are rounding errors.
+            # A ramp gives d_t at m the mean w m / sqrt(2). Negative sums are rounding errors.
             drift[..., i, j] = 2 * mi * mj * np.maximum(weighted.sum(axis=1), 0.0)
             drift[..., j, i] = drift[..., i, j]
     return AvarCovariance(ramp=ramp, quadratic=quadratic, drift=drift)
@@ -108,7 +101,7 @@ def _computed(
 
 @lru_cache(maxsize=8)
 def _every_sum_variance(term: NoiseTerm, size: int) -> FloatArray:
-    """Return V(n) up to a multiple of n², n = 0 … size-1, of a term without a closed form."""
+    """Return V(n) up to a multiple of n², n = 0 … size-1."""
     return read_only(term.sum_variance(np.arange(size, dtype=np.float64), 1.0))
 
 
@@ -131,7 +124,7 @@ def _lag_products(
 
 
 def _reach(longest: int, terms: Sequence[NoiseTerm]) -> int:
-    """Return the largest lag, which grows by powers of two, so that few different grids are cached."""
+    """Return the largest lag; powers of two, so that few different grids are cached."""
     reach = _FLICKER_REACH * longest
     for time in (time for term in terms for time in term.values[1:]):
         while reach < 2 * longest + _TIMES_REACH * time:
@@ -140,7 +133,6 @@ def _reach(longest: int, terms: Sequence[NoiseTerm]) -> int:
 
 
 def _lag_grid(mi: int, mj: int, low: int, high: int) -> IntArray:
-    """Return lags from `low` to `high`: all of them, or a grid that is dense near the nine kinks."""
     if high - low <= _ALL_LAGS:
         return np.arange(low, high + 1, dtype=np.int64)
     kinks = np.unique([a * mi - b * mj for a in range(3) for b in range(3)])
@@ -161,7 +153,6 @@ def _lag_covariance(lags: IntArray, mi: int, mj: int, term: NoiseTerm) -> FloatA
     if isinstance(term, GaussMarkov):
         meet = apart < 0
     elif isinstance(term, PowerLawTerm) and term.law is not PowerLaw.FLICKER:
-        # Adjacent windows may share a value.
         meet = apart <= 0
     covariance = np.zeros(lags.size)
     distance = np.abs(shifts[:, np.newaxis] + lags[meet].astype(np.float64))
@@ -183,9 +174,8 @@ class AvarPoints:
     """Allan variances to fit, at increasing averaging factors `m`; arrays have the shape (k,).
 
     `avar` are the variances divided by `scale`, in U², and `used` their indices in the curve. `n` is the
-    number of samples; if it is not known (`known_n`), the smallest that allows the longest averaging time.
-    `tau0` is in s. `excess` is the excess kurtosis of the white part of the samples, 0 if it is Gaussian or
-    unknown.
+    number of samples; if unknown, the smallest that allows the longest averaging time. `tau0` is in s.
+    `excess` is the excess kurtosis of the white part of the samples, 0 if unknown.
     """
 
     m: IntArray
@@ -200,15 +190,13 @@ class AvarPoints:
 
     @property
     def size(self) -> int:
-        """Number of points."""
         return self.m.size
 
     def within(self, first: int) -> "AvarPoints":
-        """Return the points from index `first` on."""
         return replace(self, m=self.m[first:], avar=self.avar[first:], used=self.used[first:])
 
     def coefficient(self, symbol: str, variance: float) -> float:
-        """Return a term's coefficient in SI from its variance per sample, divided by `scale`."""
+        """Return a term's coefficient in SI from its variance per sample."""
         deviation = float(np.sqrt(variance * self.scale))
         return deviation / TERMS[symbol].per_sample(self.tau0)
 
@@ -253,18 +241,18 @@ def avar_points(series: AxisSeries | None, curve: AllanCurve) -> AvarPoints:
 
 
 def is_timed(symbol: str) -> bool:
-    """Return whether a term has a correlation time."""
+    """Whether a term has a correlation time."""
     return len(TERMS[symbol].parameters()) > 1
 
 
 def unit_terms(symbols: Sequence[str], times: Iterable[float] = ()) -> tuple[NoiseTerm, ...]:
-    """Return terms of unit variance per sample; `times`, in samples, has one for each term with a time."""
+    """Return terms of unit variance per sample; `times` are in samples."""
     given = iter(times)
     return tuple(TERMS[s].of(1.0, float(next(given))) if is_timed(s) else TERMS[s].of(1.0) for s in symbols)
 
 
 def columns(m: IntArray, terms: Sequence[NoiseTerm]) -> FloatArray:
-    """Return the Allan variances of terms with times in samples at averaging factors `m`, shape (k, p)."""
+    """Return the Allan variances of terms at averaging factors `m`, shape (k, p)."""
     factors = m.astype(np.float64)
     parts = [term.avar(factors, 1.0) for term in terms]
     return np.stack(parts, axis=1) if parts else np.empty((m.size, 0))
@@ -273,8 +261,7 @@ def columns(m: IntArray, terms: Sequence[NoiseTerm]) -> FloatArray:
 def spread_of(points: AvarPoints, terms: Sequence[NoiseTerm]) -> AvarCovariance:
     """Return the covariance of the points, for any variances of a set of terms.
 
-    White noise of excess kurtosis g and Allan variances avar adds g avar_i avar_j / n, because every sample
-    has the same weight in them.
+    White noise of excess kurtosis g adds g avar_i avar_j / n.
     """
     gaussian = avar_covariance(points.m, points.n, terms, overlapping=points.overlapping)
     random = [term for term in terms if not isinstance(term, RateRamp)]
@@ -288,13 +275,12 @@ def spread_of(points: AvarPoints, terms: Sequence[NoiseTerm]) -> AvarCovariance:
 def _excess_kurtosis(series: AxisSeries) -> float:
     """Return the excess kurtosis of the white part, or 0 if it is not significant.
 
-    Differences of neighbouring samples are mostly white noise, with half of its excess kurtosis. Tails
-    lighter than those of a uniform distribution belong to a tone, so the result is limited to that.
+    Tails lighter than a uniform distribution's belong to a tone.
     """
     steps = series.n - 1
     if steps < 100:
         return 0.0
     excess = excess_kurtosis(series.samples)
-    # Neighbouring differences share a sample, so their squares have a correlation of 1/4.
+    # Squares of neighbouring differences have a correlation of 1/4.
     deviation = np.sqrt(24 / steps * 1.5)
     return max(2 * excess, LIGHTEST) if abs(excess) > 4 * deviation else 0.0

@@ -1,14 +1,9 @@
 """The model whose Allan variances are nearest to the measured ones, and the limits of its terms.
 
-For given times, the weighted sum of squares is a non-negative least-squares problem with one solution. Times
-are searched on a grid and refined from its best places, so each run has the same result.
+For given times, the weighted sum of squares J is a non-negative least-squares problem; times are searched on
+a grid and refined. A backward elimination compares models by J plus a price per parameter (`CRITERIA`).
 
-Choice of terms. If the model is right, the sum of squares J with the inverse covariance as weight is
-chi-squared with (points - parameters) degrees of freedom. Models are compared by J + parameters * price, with
-the price ln n (``bic``), 2 ln ln n (``hq``) or 2 (``aic``), n the number of samples. The search begins with
-all terms and removes, one at a time, the term whose loss costs least.
-
-Intervals. With weight W and covariance V of the Allan variances y, the estimate is linear near its solution,
+With weight W and covariance V of the Allan variances y, the estimate near its solution is
 theta = (G'WG)^-1 G'W y, and its covariance is the sandwich of V. V depends on the variances, so an interval
 contains the values v with
 
@@ -40,22 +35,21 @@ from imucal.solvers import non_negative, root
 
 #: Times per decade of the grid; places to refine.
 _PER_DECADE, _STARTS = 3, 3
-#: Tolerances of the sum of squares, for results and for the choice of a model.
+#: Tolerances of the sum of squares: for results, and for choosing a model.
 _FINE, ROUGH = 1e-12, 1e-3
-#: Step of a log time for a numerical derivative.
+#: Step of a log time for a derivative.
 _STEP = 1e-4
-#: Misfit above which the shortest averaging times are dropped, the factor by which this must reduce it, and
-#: the largest number of octaves to drop.
+#: Misfit above which the shortest averaging times are dropped, least ratio by which this must reduce it, and
+#: largest number of octaves.
 _FILTERED, _CURE, _MAX_DROPPED_OCTAVES = 5.0, 3.0, 8
-#: Largest number of updates of the weight; three are usually enough.
 _UPDATES = 5
 
 
 def whitening(covariance: FloatArray) -> FloatArray:
-    """Return W, shape (k, k), whose product W'W is the inverse of a covariance of shape (k, k).
+    """Return W, shape (k, k), whose product W'W is the inverse of a covariance.
 
-    Adding 1e-6 of each variance keeps the factorisation stable: the covariance, whose lags are summed on a
-    grid, has a relative error of 1e-3. A covariance without an inverse raises a DataError.
+    Adding 1e-6 of each variance keeps the factorisation stable. A covariance without an inverse raises a
+    DataError.
     """
     variance = np.diag(covariance)
     if not (np.all(np.isfinite(covariance)) and variance.min() > 0):
@@ -76,7 +70,7 @@ def whitening(covariance: FloatArray) -> FloatArray:
 
 @frozen_alone
 class Solution:
-    """A model at its minimum; `objective` is the weighted sum of squares there.
+    """A model at its minimum, where `objective` is the weighted sum of squares.
 
     The terms have unit variance and times in samples, in the order of `TERMS`; times of one kind rise.
     `variances`, shape (p,), are per sample.
@@ -88,7 +82,6 @@ class Solution:
 
     @property
     def symbols(self) -> tuple[str, ...]:
-        """Symbols of the terms."""
         return tuple(term.symbol for term in self.terms)
 
     @property
@@ -98,15 +91,12 @@ class Solution:
 
     @property
     def parameters(self) -> int:
-        """Number of free parameters."""
         return len(self.terms) + self.times.size
 
     def avar(self, points: AvarPoints) -> FloatArray:
-        """Return the model's Allan variance, shape (k,)."""
         return columns(points.m, self.terms) @ self.variances
 
     def covariance(self, points: AvarPoints) -> FloatArray:
-        """Return the covariance of the points under this model, shape (k, k)."""
         return spread_of(points, self.terms).at(self.variances)
 
     def model(self, points: AvarPoints) -> NoiseModel:
@@ -119,7 +109,7 @@ class Solution:
 
 
 def time_grid(points: AvarPoints) -> FloatArray:
-    """Return times in samples that the points can distinguish, shape (g,)."""
+    """Return times in samples that the points can distinguish."""
     low, high = 0.7 * float(points.m[0]), 1.5 * float(points.m[-1])
     return np.geomspace(low, high, max(2, int(np.ceil(_PER_DECADE * np.log10(high / low)))))
 
@@ -134,8 +124,7 @@ def minimum(
 ) -> Solution:
     """Return the minimum over the variances and times of terms.
 
-    `weight` is the W of `whitening`. `near` are times close to those of the minimum; without them, times are
-    searched on a grid. `tolerance` is the relative change of the sum of squares at the end.
+    `weight` is the W of `whitening`. Times are searched from `near`, or on a grid.
     """
     symbols = in_order(symbols)
     target = weight @ points.avar
@@ -193,7 +182,7 @@ def _refined(
 
 
 def all_terms(points: AvarPoints, max_gm: int) -> tuple[str, ...]:
-    """Return the symbols of the largest model, with fewer parameters than points."""
+    """Return the symbols of the largest model with fewer parameters than points."""
     every = [(symbol, term) for symbol, term in TERMS.items() if "gmwm" in term.fitted_by]
     symbols = [symbol for symbol, term in every for _ in range(max_gm if term.repeatable else 1)]
     while len(symbols) > 1 and len(symbols) + sum(map(is_timed, symbols)) >= points.size:
@@ -204,7 +193,7 @@ def all_terms(points: AvarPoints, max_gm: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class CurveFit:
-    """A fit: solution, weight, misfit, and the other models by how much worse they are."""
+    """A fit, and the other models by how much worse they are."""
 
     solution: Solution
     weight: FloatArray
@@ -215,14 +204,13 @@ class CurveFit:
 def best_fit(points: AvarPoints, eta3: FloatArray, settings: FitSettings) -> CurveFit:
     """Return the chosen or given model at its minimum, with the weight of the model itself.
 
-    A search compares models with the weight of the largest one. A model that lacks a small term can win with
-    this weight, but has a misfit with its own. Then the previous, larger model is taken.
+    The search uses the weight of the largest model. If the chosen model has a misfit with its own weight, the
+    previous, larger one is taken.
     """
     full = settings.weights == "full"
     if settings.structure is not None:
         start = minimum(points, eta3, settings.structure)
         if full and start.times.size:
-            # Search the times again with nearly the right weight.
             start = minimum(points, whitening(start.covariance(points)), settings.structure)
         return _converged(points, start, eta3, full=full)
     price = CRITERIA[settings.criterion](points.n)
@@ -257,7 +245,6 @@ def _smaller(
         fewer = {current.symbols[:i] + current.symbols[i + 1 :] for i in range(len(current.terms))}
         tried = []
         for own in sorted(fewer):
-            # If the removed term has a time, search the other times again.
             near = current.times if sum(map(is_timed, own)) == current.times.size else None
             tried.append(minimum(points, weight, own, near=near, tolerance=ROUGH))
         tried.sort(key=lambda s: s.objective + price * s.parameters)
@@ -267,7 +254,6 @@ def _smaller(
 
 
 def _converged(points: AvarPoints, found: Solution, weight: FloatArray, *, full: bool) -> CurveFit:
-    """Return the minimum with the weight of the model itself if `full`, else with the given weight."""
     for _ in range(_UPDATES if full else 0):
         weight = whitening(found.covariance(points))
         previous, found = found, minimum(points, weight, found.symbols, near=found.times)
@@ -280,8 +266,8 @@ def _converged(points: AvarPoints, found: Solution, weight: FloatArray, *, full:
 def best_band(points: AvarPoints, eta3: FloatArray, settings: FitSettings) -> tuple[AvarPoints, CurveFit]:
     """Return the longest run of points, up to the last, that a model describes, and the fit.
 
-    An output filter bends the curve at its first averaging times only. If no run is described, take the one
-    with the least misfit, if it is far better than the whole curve.
+    An output filter bends the curve at its first averaging times only. If no run is described, the one with
+    the least misfit is taken if it is far better than the whole curve.
     """
     whole = best_fit(points, eta3, settings)
     if settings.weights == "eta3" or not whole.misfit >= _FILTERED:
@@ -302,8 +288,7 @@ def best_band(points: AvarPoints, eta3: FloatArray, settings: FitSettings) -> tu
 def goodness(points: AvarPoints, solution: Solution, covariance: FloatArray) -> Goodness:
     """Return how well a model describes points with the given covariance.
 
-    The statistic is the sum of squares of cube roots of Allan variances, with the given correlations: they
-    are nearly normal even for few degrees of freedom (Wilson & Hilferty 1931).
+    Cube roots of Allan variances are nearly normal even for few degrees of freedom (Wilson & Hilferty 1931).
     """
     model = solution.avar(points)
     tau = (float(points.m[0] * points.tau0), float(points.m[-1] * points.tau0))
@@ -316,7 +301,7 @@ def goodness(points: AvarPoints, solution: Solution, covariance: FloatArray) -> 
     correlation = covariance / np.outer(deviation, deviation)
     misfit = float(score @ np.linalg.solve(correlation, score))
     p_value = float(scipy.special.chdtrc(freedom, misfit))
-    # Beyond the range of a normal quantile, continue with Wilson and Hilferty's approximation.
+    # Beyond the range of a normal quantile, use Wilson and Hilferty's approximation.
     spread = 2 / (9 * freedom)
     statistic = (
         float(-scipy.special.ndtri(p_value))
@@ -329,8 +314,7 @@ def goodness(points: AvarPoints, solution: Solution, covariance: FloatArray) -> 
 def limits(value: float, spread_at: Callable[[float], float], quantile: float) -> tuple[float, float]:
     """Return the interval of a variance, estimated as `value`; its lower limit is 0 if 0 is inside.
 
-    `spread_at` returns the standard error of the estimate if its argument were the true variance; `quantile`
-    is of chi-squared with one degree of freedom.
+    `spread_at` returns the standard error if its argument were the true variance.
     """
     own = spread_at(value)
 
@@ -349,7 +333,7 @@ def limits(value: float, spread_at: Callable[[float], float], quantile: float) -
 def term_limits(
     points: AvarPoints, solution: Solution, weight: FloatArray, place: int, quantile: float
 ) -> tuple[float, float]:
-    """Return the limits of the variance of the term at `place`, with fixed times and refitted other terms."""
+    """Return the limits of the variance of the term at `place`, with fixed times."""
     if solution.parameters > points.size:
         return 0.0, float("inf")
     design, target = weight @ columns(points.m, solution.terms), weight @ points.avar
@@ -378,17 +362,14 @@ def influence(points: AvarPoints, solution: Solution, weight: FloatArray, *, fre
     design = weight @ np.hstack([columns(points.m, solution.terms) * used, slopes * timed])
     length = np.sqrt(np.einsum("ij,ij->j", design, design))
     length[length == 0] = 1.0
-    # The solution of minimal norm: terms that the curve can't distinguish get wide limits, not an error.
+    # Terms that the curve can't distinguish get wide limits, not an error.
     return np.asarray(np.linalg.pinv(design / length, rcond=1e-12) @ weight / length[:, np.newaxis])
 
 
 def curve_estimates(
     points: AvarPoints, solution: Solution, weight: FloatArray, *, level: float
 ) -> tuple[tuple[Estimate, ...], tuple[str, ...], FloatArray]:
-    """Return estimates of the model's terms and of N, B and K, and names and covariance of the parameters.
-
-    A term that is not in the model gets the upper bound that it has when it is added.
-    """
+    """Return estimates of the model's terms and of N, B and K, and names and covariance of the parameters."""
     quantile = float(scipy.special.chdtri(1, 1 - level))
     slopes_of = influence(points, solution, weight)
     scatter = slopes_of @ solution.covariance(points) @ slopes_of.T
@@ -424,7 +405,6 @@ def curve_estimates(
 def _estimate(
     points: AvarPoints, key: str, term: NoiseTerm, variances: tuple[float, float, float], factor: float
 ) -> Estimate:
-    """Return the estimate of a term in SI; a time is known to a `factor`."""
     value, low, high = (points.coefficient(term.symbol, variance) for variance in variances)
     if not low > 0:
         return Estimate.bounded(key, term.symbol, high)

@@ -1,9 +1,8 @@
 """The classical reading of slopes: each term where the Allan deviation has its slope.
 
 N is read on a line of slope -1/2 at tau = 1 s, K on slope +1/2 at 3 s, B at the floor divided by 0.664, and Q
-and R on slopes -1 and +1, with the exact Allan variance of the sampled term. The interval of a reading
-includes the scatter of the points, whose covariance is known, and the contribution of the other terms: their
-own readings, or their largest values that the curve allows.
+and R on slopes -1 and +1. The interval of a reading includes the scatter of the points and the contribution
+of the other terms: their own readings, or their largest values that the curve allows.
 
 Source: IEEE Std 952-1997, Annex C.
 """
@@ -24,15 +23,13 @@ from imucal.frozen import frozen_alone
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import AxisSeries
 
-#: Slope of the Allan deviation of each term that can be read.
 SLOPES = {symbol: term.slope for symbol, term in TERMS.items() if term.slope is not None}
-#: Largest difference of the slope of a run of points from a term's slope.
+#: Largest difference of a run's slope from a term's.
 _TOLERANCE = 0.15
 #: Largest standard error of the slope of a run: a quarter of the distance to the next slope.
 _SHARP = 0.125
-#: Minimum number of points of a line; they are a factor of about two apart.
+#: Minimum number of points of a line.
 MIN_POINTS = 3
-#: Minimum degrees of freedom of the points of a line.
 _MIN_EDF = 3.0
 #: Points within this factor of the lowest point are the floor.
 _FLOOR = 1.05
@@ -47,7 +44,6 @@ class LogCurve:
 
     @property
     def variance(self) -> FloatArray:
-        """Variance of each logarithm, shape (k,)."""
         return np.diag(self.covariance)
 
     @property
@@ -56,11 +52,10 @@ class LogCurve:
         return int(np.sum(self.variance < 1 / (2 * _MIN_EDF)))
 
     def among(self, places: IntArray) -> FloatArray:
-        """Return the covariance of some of the logarithms, shape (j, j)."""
         return self.covariance[np.ix_(places, places)]
 
     def shape(self, symbol: str) -> FloatArray:
-        """Return the Allan variance of a term of unit variance at the points, shape (k,)."""
+        """Return the Allan variance of a term of unit variance at the points."""
         return np.asarray(columns(self.points.m, unit_terms([symbol]))[:, 0])
 
 
@@ -78,12 +73,10 @@ class Reading:
 
     @property
     def places(self) -> IntArray:
-        """Indices of the points of the line."""
         return np.flatnonzero(self.weights)
 
     @property
     def variance(self) -> float:
-        """Square of the coefficient, as a variance per sample."""
         return float(np.exp(2 * self.log_value))
 
 
@@ -113,7 +106,7 @@ def read_term(
 
 
 def _line(curve: LogCurve, slope: float) -> IntArray:
-    """Return the longest run of points on a line of that slope; of equally long ones, the most precise."""
+    """Return the longest run of points on a line of that slope, or the most precise of several."""
     x, y = np.log(curve.points.m.astype(np.float64)), np.log(curve.points.avar) / 2
     variance, width = curve.variance, np.diff(x)
     steps = np.diff(y) / width
@@ -125,7 +118,6 @@ def _line(curve: LogCurve, slope: float) -> IntArray:
             if not on_slope[first : last - 1].all():
                 break
             places = np.arange(first, last)
-            # The weighted least-squares slope of the run, and its standard error.
             weight = 1 / variance[places]
             away = weight * (x[places] - weight @ x[places] / weight.sum())
             design = away / (away @ x[places])
@@ -160,14 +152,12 @@ def fit_slope(
 ) -> NoiseFit:
     """Read terms from the slopes of overlapping or standard Allan variances; `series` may be None.
 
-    Model ``auto`` reads all terms whose slope the curve has. A term without its slope, or one that the others
-    explain, is bounded by the curve. `windows` maps symbols to the first and last averaging time in s of
-    their lines, instead of a search; a window without points raises a ValueError. A curve with fewer than 2
+    A term that the others explain is bounded by the curve. `windows` maps symbols to the first and last
+    averaging time in s of their lines; a window without points raises a ValueError. A curve with fewer than 2
     averaging times, or not of Allan variances, raises a DataError.
     """
     structure, level = settings.structure, settings.level
     points = avar_points(series, curve)
-    # The covariance of the logarithms under a model that fits the curve roughly.
     rough = minimum(points, np.diag(1 / points.avar), all_terms(points, 1), tolerance=ROUGH)
     model = rough.avar(points)
     logs = LogCurve(points, np.asarray(rough.covariance(points) / (4 * np.outer(model, model))))
@@ -204,8 +194,7 @@ def _estimates(
 ) -> tuple[tuple[Estimate, ...], list[Reading]]:
     """Return the estimates, and the readings that the other terms do not explain."""
     quantile = float(scipy.special.ndtri((1 + level) / 2))
-    # A term that was not read may be as large as the curve allows: below the chi-squared limits of all
-    # points together (Bonferroni).
+    # A term that was not read may be as large as the curve allows (Bonferroni over its points).
     edf, avar = 1 / (2 * curve.variance), curve.points.avar
     least = scipy.special.chdtri(edf, 1 - (1 - level) / (2 * curve.points.size))
     tops = {s: float((np.log(avar / curve.shape(s) * edf / least) / 2).min()) for s in SLOPES}

@@ -23,15 +23,13 @@ from imucal.fitting.spectral.ordinates import Ordinates, bin_shapes, regressor_o
 from imucal.frozen import frozen_alone
 from imucal.recording import AxisSeries
 
-#: Ratio of second to first differences below which there is only rounding, no noise.
+#: Ratio of second to first differences below which there is no noise.
 _STRAIGHT = 1e-9
-#: Fewest samples of a record and of a block.
 _MIN_SAMPLES = 64
 #: Longest gap to complete; longer ones separate blocks.
 _LONG = 64
-#: Largest number of blocks; if there are more long gaps, shorter ones are completed too.
+#: Largest number of blocks; with more long gaps, shorter ones are completed too.
 _MAX_BLOCKS = 48
-#: Samples processed at a time, to stay in the cache.
 _PART = 1 << 16
 #: Largest number of blocks with bins as fine as without gaps.
 _FINE = 4
@@ -41,11 +39,10 @@ _FINE = 4
 class Block:
     """The ordinates of one run of samples, in scaled units.
 
-    `offset` is the place of its first sample on the clock's grid. The `ordinates` X_k, shape (k,), start at k
-    = 1 and fill the `bins`. `variance`, shape (k,), is the part of the expected X_k² from missing samples,
-    `loss`, shape (b,), each bin's share of information lost to them, and `drawn`, shape (g,), are the missing
-    samples, drawn given the others; None if none is missing. `kept`, shape (k,), masks the ordinates in use,
-    None for all. `temperature` has shape (bins.n,).
+    `offset` is the place of its first sample on the clock's grid. The `ordinates` X_k, shape (k,), start at
+    k = 1 and fill the `bins`. `variance`, shape (k,), is the part of the expected X_k² from missing samples,
+    `loss`, shape (b,), each bin's share of information lost to them, and `drawn`, shape (g,), a draw of the
+    missing samples; None if none is missing. `kept`, shape (k,), masks the ordinates in use, None for all.
     """
 
     offset: int
@@ -58,13 +55,12 @@ class Block:
     drawn: FloatArray | None = None
 
     def regressor_parts(self, name: str) -> Callable[[slice], FloatArray]:
-        """Return a function for parts of a regressor's ordinates; a ramp is never stored as a whole."""
+        """Return a function for parts of a regressor's ordinates; a ramp is never stored whole."""
         if name == "R":
             return lambda part: ramp_ordinates(self.bins.n, part.stop - part.start, first=part.start + 1)
         return self.regressor(name).__getitem__
 
     def regressor(self, name: str) -> FloatArray:
-        """Return the ordinates of a regressor, by its name."""
         return regressor_ordinates(
             name, self.bins.n, self.ordinates.size, offset=self.offset, temperature=self.temperature
         )
@@ -82,9 +78,9 @@ class Block:
 
 @frozen_alone
 class SeriesBlocks:
-    """All blocks of a record, in order of time; `scale` is U per scaled unit, a power of two.
+    """All blocks of a record, in order of time; `scale` is U per scaled unit.
 
-    `lines` are the spectral lines left out of the longest block.
+    `lines` were left out of the longest block.
     """
 
     blocks: tuple[Block, ...]
@@ -132,7 +128,6 @@ def _steps_and_bends(samples: FloatArray, largest: float) -> tuple[float, float]
     total = bends = 0.0
     for start in range(0, samples.size - 1, _PART):
         steps = np.diff(samples[start : start + _PART + 2] / largest)
-        # The last step belongs to the next part, if there is one.
         own = steps[:_PART]
         total += float(own @ own)
         bends = max(bends, float(np.max(np.abs(np.diff(steps)), initial=0.0)))
@@ -142,7 +137,7 @@ def _steps_and_bends(samples: FloatArray, largest: float) -> tuple[float, float]
 def make_blocks(series: AxisSeries, temperature: FloatArray | None = None) -> SeriesBlocks:
     """Return the ordinates of finite samples, with gaps completed and lines left out.
 
-    Too few samples, equal samples, and no run that is long enough raise a DataError.
+    Too few samples, equal samples, and no long enough run raise a DataError.
     """
     scale = scale_of(series)
     runs, lost = _runs(series)
@@ -187,7 +182,6 @@ def _quick(series: AxisSeries, run: Run) -> Run:
 
 
 def _bins(size: int, blocks: int) -> DctBins:
-    """Return the bins of a block, fewer if there are many blocks, to limit their total."""
     if blocks <= _FINE:
         return dct_bins(size)
     return dct_bins(size, singles=max(16, 512 // blocks), per_octave=max(10, 192 // blocks))
@@ -252,14 +246,13 @@ def _gap_findings(series: AxisSeries, runs: list[Run], lost: int) -> tuple[Findi
     return (Finding("warning", "gaps-in-fit", text, advice, axis=series.name),)
 
 
-#: Fields of the ordinates that a result keeps.
 _KEPT = ("size", "power", "names", "cross", "gram")
 #: Square of the relative rounding error of a transform.
 _ROUNDING = 1e-28
 
 
 def bin_blocks(blocks: Sequence[Block], scale: float, names: tuple[str, ...] = ("R",)) -> Ordinates:
-    """Return the binned ordinates of all blocks, which share the regressors `names`."""
+    """Return the binned ordinates of all blocks."""
     return Ordinates.joined([_binned(block, scale, names) for block in blocks])
 
 
@@ -286,11 +279,10 @@ def _binned(block: Block, scale: float, names: tuple[str, ...]) -> Ordinates:
             cross[i, here] = total(own * v)
             for j, w in enumerate(columns[: i + 1]):
                 gram[i, j, here] = gram[j, i, here] = total(v * w)
-    # Add the transform's rounding error, so that no power is exactly zero.
+    # Add the transform's rounding error, so that no power is zero.
     power += _ROUNDING * whole / block.ordinates.size * size
     if block.loss is not None:
-        # A single bin scatters as if it had 1 - loss of its ordinates, an octave, over which noise terms
-        # extend, as if it had the square: missing samples mix the powers of all frequencies.
+        # A single bin scatters as if it had 1 - loss of its ordinates, an octave as if it had the square.
         keep = np.square(1 - block.loss)
         size, power, cross, gram = size * keep, power * keep, cross * keep, gram * keep
     return Ordinates(
@@ -299,7 +291,7 @@ def _binned(block: Block, scale: float, names: tuple[str, ...]) -> Ordinates:
 
 
 def bins_of(whole: Ordinates, blocks: SeriesBlocks, *, tau0: float, widening: float) -> Bins:
-    """Return the bins to keep from the ordinates of `blocks`' whole spectrum."""
+    """Return the bins of `blocks` to keep with a result."""
     every = [block.bins for block in blocks.blocks]
     return Bins(
         n=np.array([bins.n for bins in every], dtype=np.int64),
@@ -326,7 +318,7 @@ def ordinates_of(bins: Bins) -> Ordinates:
 def joined(records: Sequence[Ordinates]) -> Ordinates:
     """Return the ordinates of several records as if of one record: their likelihoods multiply.
 
-    They share the ramp. Other regressors belong to one record, such as ``2:step@1000`` of the third.
+    Regressors other than the ramp belong to one record, such as ``2:step@1000`` of the third.
     """
     names = ("R", *(f"{i}:{name}" for i, one in enumerate(records) for name in one.names[1:]))
     parts, first = [], 1

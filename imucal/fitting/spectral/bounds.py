@@ -1,9 +1,8 @@
 """Estimates whose intervals allow for the choice of the model.
 
-A term that may be zero has a bound instead of a value. Intervals that ignore the choice of the model do not
-cover: if a weak term is dropped, its neighbour absorbs its power with a narrow interval. So each model whose
-criterion is near the best is completed with the terms that every fit reports. A term's interval is the hull
-of its intervals in these models. The weight of a model decreases with its distance from the best.
+If a weak term is dropped, its neighbour absorbs its power with an interval that is too narrow. So each model
+whose criterion is near the best is completed with the terms that every fit reports, and a term's interval is
+the hull of its intervals in these models. The weight of a model decreases with its distance from the best.
 
 Leeb & Pötscher (2005), Econometric Theory 21, p. 21, "Model selection and inference: facts and fiction",
 explain the problem; `tests/benchmarks/coverage_auto.py` measures the coverage of this remedy.
@@ -30,7 +29,7 @@ def estimate_or_bound(problem: Problem, choice: RankedModels) -> tuple[Fits, tup
     """Return the best candidate, and estimates or bounds of its terms.
 
     A term whose interval contains zero is bounded and left out of the model. The other terms keep their
-    values and intervals from the fit with it, since it may exist.
+    intervals from the fit with it, since it may exist.
     """
     fitted = choice.fits[[0]]
     bounded: dict[str, Estimate] = {}
@@ -44,14 +43,14 @@ def estimate_or_bound(problem: Problem, choice: RankedModels) -> tuple[Fits, tup
 
 
 def with_absent(problem: Problem, fitted: Fits, estimates: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
-    """Add the upper bounds of N, B and K if the model lacks them, each fitted together with its terms."""
+    """Add the upper bounds of N, B and K if the model lacks them."""
     absent = set(ALWAYS).difference(e.symbol for e in estimates)
     bounds_of = [upper_bound(problem, add_term(problem, fitted, symbol), symbol) for symbol in absent]
     return ordered((*estimates, *bounds_of))
 
 
 def ordered(estimates: Iterable[Estimate]) -> tuple[Estimate, ...]:
-    """Return estimates sorted by rising slope, then by key."""
+    """Return estimates by rising slope, then by key."""
     order = list(TERMS)
     return tuple(sorted(estimates, key=lambda e: (order.index(e.symbol), e.key)))
 
@@ -59,8 +58,7 @@ def ordered(estimates: Iterable[Estimate]) -> tuple[Estimate, ...]:
 def _can_not_stay(problem: Problem, fitted: Fits, estimates: tuple[Estimate, ...]) -> list[Estimate]:
     """Return terms of which one must be dropped to make the other estimates meaningful.
 
-    These are bounded terms with an arbitrary correlation time, which widens other intervals; or terms that
-    can replace one another: each may be zero, but not all at once.
+    A bounded term with an arbitrary time widens other intervals; terms may replace one another.
     """
     gone = [e for e in estimates if e.status == "bounded"]
     timed = [e for e in gone if has_time(e.symbol)]
@@ -77,10 +75,7 @@ def _can_not_stay(problem: Problem, fitted: Fits, estimates: tuple[Estimate, ...
 def numbered(
     estimates: tuple[Estimate, ...], names: tuple[str, ...]
 ) -> tuple[tuple[Estimate, ...], tuple[str, ...]]:
-    """Return estimates and parameter names, with numbered keys if there are several terms of one kind.
-
-    The only remaining term of a kind has its symbol as key and comes before dropped ones.
-    """
+    """Return estimates and parameter names, with numbered keys for several terms of one kind."""
     every = ordered(estimates)
     keys = term_keys(e.symbol for e in every)
     new = {e.key: key for e, key in zip(every, keys, strict=True)}
@@ -106,7 +101,7 @@ def add_term(problem: Problem, fitted: Fits, symbol: str) -> Fits:
 
 
 def completed(problem: Problem, fitted: Fits) -> Fits:
-    """Return the fit with the terms that every fit reports, at zero if the data prefer that."""
+    """Return the fit with the terms that every fit reports."""
     for symbol in fitted.missing:
         fitted = add_term(problem, fitted, symbol)
     return fitted
@@ -124,18 +119,17 @@ def upper_bound(problem: Problem, fitted: Fits, symbol: str) -> Estimate:
 _FULL_WEIGHT, _NO_WEIGHT = 6.0, 9.0
 #: Difference in Akaike's criterion within which the data can't distinguish models.
 _INDISTINGUISHABLE = 4.0
-#: Share of the record from which a correlation time of a Gauss-Markov term makes it K.
+#: Share of the record from which a Gauss-Markov term's correlation time makes it K.
 _WALK = 1 / 20
-#: Terms whose lower limit is lowered, not set to zero, by a model of weight below 1. B is not among them: a
-#: Gauss-Markov term of some seconds next to a walk resembles flicker.
+#: Terms whose lower limit is only lowered by a model of weight below 1. B is not among them: a Gauss-Markov
+#: term of some seconds next to a walk resembles flicker.
 _LOWERED = frozenset({"K"})
-#: Largest number of models that are completed.
 _MAX_COMPLETED = 16
 
 
 @frozen_alone
 class Alternative:
-    """Estimates of a model near the best, by key; `weight` (1 near the best, 0 far) scales the intervals."""
+    """Estimates of a model near the best, by key; `weight` (1 near, 0 far) scales the intervals."""
 
     weight: float
     terms: dict[str, Estimate]
@@ -146,7 +140,6 @@ class Alternative:
         return self.terms["K"].horizon_s < np.inf
 
     def excludes(self, key: str) -> bool:
-        """Whether a term may be zero here, and the model has enough weight to bound it."""
         return _may_be_zero(self.terms[key]) and (self.weight >= 1 or key not in _LOWERED)
 
 
@@ -155,9 +148,8 @@ def hull_estimates(
 ) -> tuple[Fits, tuple[Estimate, ...], tuple[Estimate, ...]]:
     """Return the model to draw, its own estimates, and estimates whose intervals cover all near models.
 
-    A term whose interval reaches down to zero is bounded. If N, B or K is detected but not in the chosen
-    model, it is added to the drawn model, so that the printed terms add up to the line. The exception is a K
-    that describes a Gauss-Markov term of the model.
+    If N, B or K is detected but not in the chosen model, it is added to the drawn model, so that the printed
+    terms add up to the line. The exception is a K that describes a Gauss-Markov term of the model.
     """
     fitted, own = estimate_or_bound(problem, choice)
     models = [_alternative(problem, distance, model) for distance, model in _completed(problem, choice)]
@@ -181,7 +173,7 @@ def _with_rivals(
     others, markov = _alternatives(choice), GaussMarkov.symbol
     horizon = min(model.terms["K"].horizon_s for model in models)
     if markov in others["K"]:
-        # K is valid up to the lower limit of T of the term that replaces it in the nearest model.
+        # K is valid up to the lower limit of the replacing term's T.
         rivals = (s for s in choice.structures if markov in s and "K" not in s)
         rival = choice.fits[[choice.structures.index(next(rivals))]]
         slowest = [column for name, column in rival.columns() if name.endswith(".T")][-1]
@@ -195,7 +187,6 @@ def _with_rivals(
 
 
 def _first_detected(own: Estimate, models: list[Alternative]) -> Estimate:
-    """Return the estimate, or if it has no value, that term in the nearest model with a value."""
     every = (own, *(model.terms[own.key] for model in models))
     return next((e for e in every if e.value is not None), own)
 
@@ -221,8 +212,7 @@ def _time_of(found: Estimate) -> float:
 def _walk(slow: Estimate, high: float, reach: float, model: Fits) -> Estimate:
     """Return the walk sigma sqrt(2/T) of a slow Gauss-Markov term, valid up to the lower limit of T.
 
-    Sigma and T are uncertain separately, their walk is not: its limits are `reach` standard errors of half
-    the difference of log sigma² and log T; the upper limit is at least `high`.
+    Its limits are `reach` standard errors of half of log(sigma²/T).
     """
     columns = dict(model.columns())
     sigma, time = (columns[name] for name in GaussMarkov.parameter_names(slow.key))
@@ -239,11 +229,7 @@ def _walk(slow: Estimate, high: float, reach: float, model: Fits) -> Estimate:
 
 
 def _floor(problem: Problem, bound: Estimate, models: list[Fits]) -> Estimate:
-    """Return N from the minima of the near models' spectra, if N may be zero.
-
-    Every record has a noise floor. If a fast Gauss-Markov term can explain it, the models disagree about its
-    name, not its level.
-    """
+    """Return N from the minima of the near models' spectra, if a fast Gauss-Markov term can replace it."""
     ordinates = problem.ordinates
     levels, freedom = [], []
     for model in models:
@@ -268,7 +254,7 @@ def _richer(
 
 
 def _span(key: str, values: dict[str, Estimate], models: list[Alternative]) -> list[tuple[float, Estimate]]:
-    """Return the weight and estimate of a term in each model; beyond N, B and K only in similar models."""
+    """Return the weight and estimate of a term in each model, or in similar models only."""
     if key in ALWAYS:
         return [(model.weight, model.terms[key]) for model in models]
     others = values.keys() - set(ALWAYS)
@@ -288,11 +274,7 @@ def either(estimates: tuple[Estimate, ...], others: tuple[Estimate, ...]) -> tup
 
 
 def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:
-    """Return for each term the alternatives that the data can't exclude.
-
-    Every model near the best contains one of the two, and neither is in all of them. The distance is Akaike's
-    criterion, not the stricter one of the choice: the data must distinguish the two.
-    """
+    """Return for each term its alternatives: every model near the best contains one of the two."""
     fit = 2 * (choice.fits.objective + choice.fits.models.parameters)
     near = [set(choice.structures[i]) for i in np.flatnonzero(fit - fit.min() <= _INDISTINGUISHABLE)]
 
@@ -304,7 +286,7 @@ def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:
 
 
 def _hull(own: Estimate, span: list[tuple[float, Estimate]]) -> Estimate:
-    """Return an estimate with the limits of all models, unchanged if no near model has its term.
+    """Return an estimate with the limits of all models.
 
     A model of weight 1 with the term at zero bounds it; so does any model if the term is not in `_LOWERED`.
     """
@@ -329,7 +311,6 @@ def _time_hull(own: Interval | None, span: list[Estimate]) -> Interval | None:
 
 
 def _may_be_zero(found: Estimate) -> bool:
-    """Whether the lower limit is zero, or negligible relative to the upper limit."""
     return found.low <= NEGLIGIBLE * found.high
 
 

@@ -1,9 +1,8 @@
 """Likelihood-ratio test of a term that several records, or segments of one record, may have in common.
 
-A spectrum is the sum of a fixed part, the tested part, and free parts, so that their changes are not
-attributed to the tested part. Each group of bins (a record or a segment) has its own scale of every part
-except the fixed one. If the scale of the tested part is equal in all groups, twice the drop of the
-log-likelihood is chi-squared with one degree of freedom less than groups.
+A spectrum is the sum of a fixed part, the tested part, and free parts. Each group of bins (a record or a
+segment) has its own scale of every part except the fixed one. If the scale of the tested part is equal in all
+groups, twice the drop of the log-likelihood is chi-squared with one degree of freedom less than groups.
 
 Source: Wilks (1938), Annals of Mathematical Statistics 9, 60; of variances, Bartlett (1937), Proc. R. Soc. A
 160, 268.
@@ -21,14 +20,13 @@ from imucal.frozen import frozen_alone
 
 #: Lower bound of the logs of the scales.
 _INVISIBLE = -30.0
-#: Starting value of an absent part: its largest share of the spectrum.
+#: Starting value of an absent part, as a share of the spectrum.
 _SHARE = 0.1
-#: Longest step of a log, and largest number of steps.
 _STEP, _STEPS = 1.5, 100
-#: Gain of the log-likelihood that ends the search.
+#: Gain that ends the search.
 _CLOSE = 1e-5
-#: Scan of scale 2: the first end in its deviations, the number of ends, which grow by a factor of 1.5, the
-#: number of grid points between the ends, and scoring steps of scale 1 at each.
+#: Scan of scale 2: the first end in its deviations, the number of ends, grid points between the ends, and
+#: scoring steps of scale 1 at each.
 _FIRST_REACH, _WIDER, _GRID, _SCORINGS = 1.2, 12, 32, 3
 _TINY = 1e-12
 
@@ -37,9 +35,9 @@ _TINY = 1e-12
 class Parts:
     """The spectra of t tests over g groups of bins, b bins in all.
 
-    `ordinates` contain the groups one after the other; `first`, shape (g,), is the index of each group's
-    first bin. `regressors`, shape (r,), is the mask of the regressors to remove. `varied`, shape (t, q, b),
-    are the scaled parts of each test, the tested part first, and `held`, shape (t, b), is the fixed part.
+    `first`, shape (g,), is the index of each group's first bin. `regressors`, shape (r,), is the mask of the
+    regressors to remove. `varied`, shape (t, q, b), are the scaled parts of each test, the tested part first,
+    and `held`, shape (t, b), is the fixed part.
     """
 
     ordinates: Ordinates
@@ -49,7 +47,7 @@ class Parts:
     held: FloatArray
 
     def total(self, values: FloatArray) -> FloatArray:
-        """Return the sum over each group's bins, shape (…, g)."""
+        """Return the sum over each group's bins."""
         return np.asarray(np.add.reduceat(values, self.first, axis=-1))
 
     def at(self, logs: FloatArray) -> "Scales":
@@ -71,7 +69,7 @@ class Parts:
         )
 
     def fit(self, *, common: bool) -> "Scales":
-        """Maximise the likelihood, from scales of 1; if `common`, all groups share the tested scale."""
+        """Maximise the likelihood; if `common`, all groups share the tested scale."""
         tests, count, _ = self.varied.shape
         best = self.at(np.zeros((tests, self.first.size, count)))
         damping = np.full(best.objective.shape, 1e-3)
@@ -90,7 +88,6 @@ class Parts:
         return best
 
     def of(self, test: int) -> "Parts":
-        """Return the parts of one test."""
         rows = slice(test, test + 1)
         return replace(self, varied=self.varied[rows], held=self.held[rows])
 
@@ -99,9 +96,8 @@ class Parts:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return a weighted sum of the two scales of one test in each group, and its limits, shape (g,) each.
 
-        The limits are the extremes over all scales at which twice the drop of the log-likelihood from its
-        maximum at `logs`, shape (g, 2), is below `reach`², shape (g,): an expansion is wrong if one scale is
-        near zero.
+        The limits are the extremes over all scales at which twice the drop of the log-likelihood is below
+        `reach`²: an expansion is wrong if one scale is near zero.
         """
         best = self.at(logs[np.newaxis])
         tested, others = np.moveaxis(best.logs[0], -1, 0)
@@ -120,7 +116,7 @@ class Parts:
         # A flat curve extends to infinity.
         with np.errstate(over="ignore"):
             ends = np.where(left >= 0, fast * np.exp([-width, width]) + slow, np.nan)
-        # Interpolate between the grid points inside and outside the reach.
+        # Interpolate between the grid points.
         share = left[:-1] / (left[:-1] - left[1:])
         crossing = (fast + slow)[:-1] + share * np.diff(fast + slow, axis=0)
         crossing[left[:-1] * left[1:] > 0] = np.nan
@@ -129,7 +125,6 @@ class Parts:
         return value, np.nanmin(every, axis=0), np.nanmax(every, axis=0)
 
     def _at_second(self, deviations: FloatArray, tested: FloatArray) -> "Scales":
-        """Return the likelihood at given roots of scale 2, shape (t, g), with the best scale 1."""
         logs = np.empty((*deviations.shape, 2))
         logs[..., 0], logs[..., 1] = tested, 2 * np.log(np.maximum(deviations, np.exp(_INVISIBLE / 2)))
         for _ in range(_SCORINGS):
@@ -142,9 +137,8 @@ class Parts:
 class Scales:
     """The likelihood at some scales of each group in each test.
 
-    `logs`, shape (t, g, q), have the tested scale first. `objective`, shape (t, g), is -log L of each group
-    less a constant, `gradient` its gradient in the logs, and `matrix`, shape (t, g, q, q), the expected
-    information.
+    `logs`, shape (t, g, q), have the tested scale first. `objective`, shape (t, g), is -log L less a
+    constant, `gradient` its gradient, and `matrix`, shape (t, g, q, q), the expected information.
     """
 
     logs: FloatArray
@@ -153,7 +147,6 @@ class Scales:
     matrix: FloatArray
 
     def where(self, chosen: BoolArray, other: "Scales") -> "Scales":
-        """Return these values where `chosen`, shape (t, g), is true, and the `other` ones elsewhere."""
         return Scales(
             logs=np.where(chosen[..., None], self.logs, other.logs),
             objective=np.where(chosen, self.objective, other.objective),
@@ -163,7 +156,7 @@ class Scales:
 
     @property
     def information(self) -> FloatArray:
-        """Information on the log of the tested scale if the other scales are unknown, shape (t, g)."""
+        """Information on the log of the tested scale, shape (t, g)."""
         return self._eliminated(np.zeros(self.objective.shape))[1]
 
     def _eliminated(self, damping: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -190,7 +183,7 @@ class Scales:
 
 
 def visible(spectra: FloatArray, absent: list[int]) -> FloatArray:
-    """Return factors, shape (p,), that make `absent` spectra, shape (p, b), a visible share of the sum."""
+    """Return factors, shape (p,), that make `absent` spectra a visible share of the sum."""
     factor = np.ones(len(spectra))
     whole = np.delete(spectra, absent, axis=0).sum(axis=0)
     factor[absent] = _SHARE / np.max(spectra[absent] / whole, axis=1, initial=1e-300)

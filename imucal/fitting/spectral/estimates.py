@@ -1,8 +1,7 @@
 """Maximum of the likelihood -> estimates in SI, with their profile-likelihood limits and covariance.
 
 At a limit, twice the drop of the log-likelihood, maximised over all other parameters, is the square of a
-normal quantile, or of Student's quantile if few degrees of freedom determine a variance. An interval that
-contains zero is [0, U].
+normal quantile, or of Student's quantile if few degrees of freedom determine a variance.
 
 Source: Pawitan (2001), In All Likelihood, ch. 3; at a boundary: Self & Liang (1987), JASA 82; few degrees of
 freedom: Satterthwaite (1946), Biometrics Bulletin 2, 110.
@@ -31,7 +30,7 @@ _CLOSE = 0.01
 _ROUNDS = 40
 #: Factor by which steps grow until one passes the limit.
 _STRIDE = 1.7
-#: Lower limit of the degrees of freedom; the expansion about the maximum underestimates them near zero.
+#: Lower limit of the degrees of freedom; the expansion underestimates them near zero.
 _MIN_DOF = 10.0
 
 
@@ -54,9 +53,8 @@ def profile_limits(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the lower and upper limits of parameter `columns[i]` of fit i, shape (k,) each.
 
-    Limits are in log units, except for the ramp (column `RAMP`). The lower limit is -inf if the parameter may
-    vanish, the upper inf if it may exceed its bound. `reach`, shape (k,), is the root of twice the drop at
-    the limits: a quantile of the level.
+    Limits are in log units, except for the ramp (column `RAMP`), and infinite if there is none. `reach` is
+    the root of twice the drop at the limits.
     """
     both = np.concatenate([np.arange(columns.size)] * 2)
     toward = np.repeat([-1.0, 1.0], columns.size)
@@ -67,8 +65,8 @@ def profile_limits(
 class _ProfileSearch:
     """The root of z(u) = ± quantile for many parameters at once.
 
-    z is the signed root of twice the drop; it is almost linear in u, which is the deviation for a variance,
-    the logarithm for a time, and the slope itself for a ramp.
+    z, the signed root of twice the drop, is almost linear in u: the deviation for a variance, the logarithm
+    for a time, and the slope for a ramp.
     """
 
     def __init__(self, ordinates: Ordinates, fits: Fits, columns: IntArray) -> None:
@@ -123,12 +121,12 @@ class _ProfileSearch:
             drop, theta = self.drop(rows, u)
             found = drop - z[rows]
             within = found < 0
-            # Start only from inside: far outside the other parameters may be at another maximum.
+            # Start only from inside: far outside may be another maximum.
             self.theta[rows[within]] = theta[within]
             edge = np.where(toward[rows] < 0, u <= self.low[rows], u >= self.high[rows])
             unlimited = within & edge
             ins, out = rows[within], rows[~within]
-            # Illinois rule: halve the weight of the end that stays, so that neither end stalls.
+            # Illinois rule: halve the weight of the end that stays.
             z_outside[ins] *= 0.5
             z_inside[out] *= np.where(bracketed[out], 0.5, 1.0)
             inside[ins], z_inside[ins] = u[within], found[within]
@@ -144,7 +142,7 @@ class _ProfileSearch:
         return np.where(self.variance[rows], 2 * np.log(np.maximum(u, 1e-200)), u)
 
     def drop(self, rows: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the root of twice the drop of the log-likelihood at fixed `u`, and the parameters there."""
+        """Return the root of twice the drop at fixed `u`, and the parameters there."""
         start = self.theta[rows].copy()
         plain = ~self.ramp[rows]
         held = np.flatnonzero(plain)
@@ -180,7 +178,6 @@ class Problem:
         return self.ordinates.scale / TERMS[symbol].per_sample(self.tau0)
 
     def limits(self, fitted: Fits, columns: list[int]) -> tuple[FloatArray, FloatArray]:
-        """Return the limits of some parameters of a fit; see `profile_limits`."""
         places = np.array(columns)
         reach = np.full(places.size, quantile(self.level))
         variances = (places >= 0) & (places < fitted.models.variances)
@@ -230,7 +227,7 @@ def _term(problem: Problem, key: str, symbol: str, table: dict[str, tuple[float,
 def covariance_of(
     problem: Problem, fitted: Fits, estimates: tuple[Estimate, ...]
 ) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the names of the parameters and their covariance in SI, from the expected information."""
+    """Return the names of the parameters and their covariance in SI."""
     slopes = {name: own for e in estimates if e.value is not None for name, own in e.slopes().items()}
     columns = {name: at for name, at in fitted.columns() if name in slopes}
     names, places = list(columns), list(columns.values())
@@ -245,7 +242,7 @@ def covariance_of(
 
 
 def misfits_of(problem: Problem, fitted: Fits, found: Goodness) -> dict[str, float]:
-    """Return the factors, at least 1, by which a misfit widens each symbol's interval; {} for no misfit."""
+    """Return the factors by which a misfit widens each symbol's interval; {} for no misfit."""
     if found.statistic < MISFIT:
         return {}
     factors = misfit_factors(problem.ordinates, fitted)

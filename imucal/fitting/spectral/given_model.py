@@ -1,14 +1,12 @@
 """Fit of a given model to stored bins of one record or of several jointly.
 
-A likelihood ratio tests whether records of one sensor have the same coefficient: one for all records against
-one for each (Wilks 1938, Annals of Mathematical Statistics 9, 60). The other terms are free in each record,
-so that a change of one term is not attributed to another.
+A likelihood ratio tests whether records of one sensor have the same coefficient (Wilks 1938, Annals of
+Mathematical Statistics 9, 60). The other terms are free in each record.
 
-Squared coefficients may be negative: positive estimates of an absent term are too large on average. Weighted
-least squares are unbiased if the weights do not follow low ordinates, so the weights come from a spectrum
-with each weak term at one standard deviation (McCullagh & Nelder 1989, Generalized Linear Models, 2nd ed.,
-section 2.5). The standard deviation is a function of the coefficient: weighting many logs by deviations at
-their own estimates would favour low estimates.
+Squared coefficients may be negative: positive estimates of an absent term are too large on average. The
+weights come from a spectrum with each weak term at one standard deviation (McCullagh & Nelder 1989,
+Generalized Linear Models, 2nd ed., section 2.5). The standard deviation is a function of the coefficient:
+deviations at the logs' own estimates would favour low estimates.
 """
 
 import math
@@ -42,8 +40,7 @@ from imucal.noise.model import NoiseModel
 class BinFit:
     """A model fitted to the bins of some records, up to the end of the band, in one scale.
 
-    `problem` joins all records. `whole` is the fit of the given terms and of N, B and K, at zero if the data
-    prefer that. `model` and `estimates` are the reported ones, without and with bounded terms. `misfits` maps
+    `problem` joins all records. `whole` is the fit of the given terms and of N, B and K. `misfits` maps
     symbols to the factors by which a misfit widens their limits.
     """
 
@@ -68,7 +65,7 @@ def fit_bins(
     every = joined(parts) if len(parts) > 1 else parts[0]
     band = _band(every, parts, structure, near)
     seen = band.select(every)
-    # Half the excess kurtosis plus one, averaged over the records by their ordinates.
+    # Half the excess kurtosis plus one.
     surplus = np.average([one.widening**2 for one in bins], weights=[one.size.sum() for one in bins])
     problem = Problem(
         ordinates=seen,
@@ -99,7 +96,7 @@ def fit_bins(
 def _band(every: Ordinates, parts: Sequence[Ordinates], structure: Structure, near: float | None) -> Band:
     """Return the band and response of all records; flat if most records are flat by themselves.
 
-    Records with different coefficients fit no common model; jointly they may resemble an output filter.
+    Records with different coefficients may jointly resemble an output filter.
     """
     rich = richest(structure)
     if near is not None or len(parts) == 1:
@@ -112,7 +109,7 @@ def _band(every: Ordinates, parts: Sequence[Ordinates], structure: Structure, ne
 
 #: Information on a log coefficient below which it is undetermined.
 _NONE = 1e-8
-#: Distance of a log variance from its lower bound below which the term is absent.
+#: Distance of a log variance from its lower bound below which a term is absent.
 _RAISED = 8.0
 
 
@@ -120,9 +117,9 @@ _RAISED = 8.0
 class RecordTest:
     """The test of one term over r records.
 
-    `statistic` is twice the drop of the log-likelihood with one coefficient for all records, chi-squared with
-    r - 1 degrees of freedom if they share it. `values` are the records' coefficients in SI, shape (r,), 0 if
-    the data prefer that. `log_deviations` are the standard errors of their logarithms, inf if undetermined.
+    `statistic` is twice the drop of the log-likelihood with one coefficient for all records, chi-squared
+    with r - 1 degrees of freedom if they share it. `values` are the records' coefficients in SI, shape (r,).
+    `log_deviations` are the standard errors of their logarithms, inf if undetermined.
     """
 
     key: str
@@ -165,10 +162,7 @@ def record_tests(fit: BinFit) -> tuple[RecordTest, ...]:
 
 
 def _parts(fit: BinFit, columns: list[int]) -> tuple[Parts, FloatArray]:
-    """Return the parts of each term's test, with all other terms free, and the logs of their variances.
-
-    Each record has its own ramp; regressors of one record are zero in the others.
-    """
+    """Return the parts of each term's test, and the logs of their variances."""
     models, theta = fit.whole.models, fit.whole.theta
     joint, count = Ordinates.joined(fit.records), len(fit.records)
     owner = np.repeat(np.arange(count), [one.size.size for one in fit.records])
@@ -198,9 +192,9 @@ def _parts(fit: BinFit, columns: list[int]) -> tuple[Parts, FloatArray]:
 _CLOSE, _ROUNDS = 1e-9, 100
 #: Deviations subtracted from an estimate before it enters the weights.
 _SURE = 2.0
-#: A deviation's growth is computed between zero and the estimate, at least this many deviations.
+#: A deviation's growth is computed up to the estimate, at least this many deviations.
 _FAR = 4.0
-#: Least size of the other terms in this computation, in their deviations.
+#: Least size of the other terms in this computation.
 _FLOOR = 0.5
 
 
@@ -219,8 +213,7 @@ class SquaredCoefficient:
 def squared_coefficients(found: BinFit) -> dict[str, SquaredCoefficient]:
     """Return the squared coefficient of each term of a fit except the ramp, by its key.
 
-    Correlation times and response keep the fit's values; the deviations include their errors. Excess kurtosis
-    and a misfit widen them like the fit's limits.
+    The deviations include the errors of correlation times and response.
     """
     problem, fitted = found.problem, found.whole
     ordinates, models = problem.ordinates, fitted.models
@@ -271,9 +264,7 @@ def _deviation_laws(
 ) -> list[tuple[float, float]]:
     """Return deviation at zero and growth of each of the estimates `variance`, shape (t,).
 
-    `slopes`, shape (t + j, b), are derivatives in the terms, then in the other parameters. The weights follow
-    `spectrum`; the true spectrum has one term at a chosen value and the others at their most likely values
-    given it, because the estimates are correlated.
+    One term has a chosen value and the others their most likely values given it.
     """
     count = variance.size
     weight = 0.5 * size / spectrum**2
@@ -296,7 +287,6 @@ def _deviation_laws(
 
 
 def _signed(slopes: FloatArray, level: FloatArray, count: FloatArray) -> FloatArray:
-    """Return the weighted least-squares solution, of either sign."""
     return np.asarray(_inverse(slopes, count) @ (slopes @ (count * level)))
 
 

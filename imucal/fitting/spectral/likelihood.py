@@ -6,7 +6,7 @@ variance S_k, the exact expectation of X_k² for the sampled, finite series:
     -log L = 1/2 sum_k [log S_k + (X_k - c_k beta)² / S_k]
 
 It is exact for white noise plus random walk plus ramp. beta (ramp, temperature …) is the generalised
-least-squares solution. `band` defines the response of the output filter.
+least-squares solution.
 
 Source: Sykulski et al. (2019), Biometrika 106, "The debiased Whittle likelihood". The DCT instead of the
 Fourier transform removes the leakage.
@@ -23,11 +23,10 @@ from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
 from imucal.frozen import frozen_alone
 from imucal.noise.terms import ALWAYS, TERMS
 
-#: Added to the diagonal of the regressors' correlation.
 _RIDGE = 1e-10
 #: Elements of an array such that a dozen arrays fit in the cache.
 _CACHED = 16384
-#: Places in a band, lam / top, where a response must be positive, independent of the bins.
+#: Places in a band, lam / top, where a response must be positive, in addition to the bins.
 _BETWEEN = np.linspace(0.4, 1.0, 25)
 #: A parameter with less information than this is undetermined.
 _NONE = 1e-8
@@ -38,10 +37,9 @@ class Fits:
     """The likelihood of each of c models at one row of parameters, usually its maximum.
 
     At `theta`, shape (c, p), `objective` is -log L less a constant, infinite if the response is not positive;
-    `score` is its gradient, and `information` the expected Fisher information, shape (c, p, p). `beta`, shape
-    (c, r), are the regressors' coefficients, 0 for those not in a model, and `beta_covariance` their
-    covariance given the `spectrum` S, shape (c, b). `structure`, `missing` and `covariance` refer to the
-    first row.
+    `score` is its gradient, and `information`, shape (c, p, p), the expected one. `beta`, shape (c, r), are
+    the regressors' coefficients, and `beta_covariance` their covariance given the `spectrum` S, shape (c, b).
+    Properties refer to the first row.
     """
 
     models: Models
@@ -54,17 +52,14 @@ class Fits:
     spectrum: FloatArray
 
     def __getitem__(self, index: IntArray | list[int]) -> "Fits":
-        """Return some rows; an index may be repeated."""
         return Fits(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
     @property
     def structure(self) -> Structure:
-        """Symbols of the terms."""
         return self.models[[0]].structures[0]
 
     @property
     def missing(self) -> list[str]:
-        """Terms that every fit reports and this model lacks."""
         return [symbol for symbol in ALWAYS if symbol not in self.structure]
 
     @property
@@ -73,11 +68,11 @@ class Fits:
         return covariance(self.information[0], self.models.free[0])
 
     def columns(self, added: Iterable[str] = ()) -> list[tuple[str, int]]:
-        """Return name and column of each parameter except R, including the `added` power laws."""
+        """Return name and column of each parameter except R."""
         return self.models.with_laws(added).columns(self.theta[0])
 
     def variances(self, added: Iterable[str] = ()) -> dict[str, int]:
-        """Return the column of each term's variance by its key, of the terms in `columns`."""
+        """Return the column of each term's variance by its key."""
         first = self.models.variances
         return {name.partition(".")[0]: at for name, at in self.columns(added) if at < first}
 
@@ -121,7 +116,7 @@ def evaluate(
 def covariance(information: FloatArray, free: BoolArray) -> FloatArray:
     """Return the covariance of the `free` parameters, shape (p,), as a matrix of shape (p, p).
 
-    Undetermined parameters, such as an absent term, have variance inf and are fixed for the others.
+    Undetermined parameters have variance inf and are fixed for the others.
     """
     size = free.size
     result = np.zeros((size, size))
@@ -138,10 +133,7 @@ def covariance(information: FloatArray, free: BoolArray) -> FloatArray:
 
 
 def derivatives(ordinates: Ordinates, model: Models, theta: FloatArray) -> FloatArray:
-    """Return the derivative of one model's spectrum in each parameter at `theta`, shape (p, b).
-
-    The derivative in the log of a variance is the term's filtered spectrum.
-    """
+    """Return the derivatives of one model's spectrum at `theta`, shape (p, b)."""
     spectrum, slopes = spectra(ordinates, model, theta)
     return np.asarray(slopes[0] * spectrum[0])
 
@@ -185,7 +177,7 @@ def _filter(
     use = np.arange(models.room_poles) < models.poles[rows, None]
     response = np.where(use, theta[rows, first:], 0.0)
     denominator = 1 + response @ powers
-    # It must also be positive between the bins and up to the end of the band.
+    # It must also be positive between the bins.
     between = _BETWEEN ** np.arange(1, models.room_poles + 1)[:, None]
     negative = np.any(denominator <= 0, axis=1) | np.any(1 + response @ between <= 0, axis=1)
     denominator[negative] = np.nan
@@ -199,7 +191,7 @@ def regress(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return beta (c, r), its covariance (c, r, r) and each bin's sum of squares without it (c, b).
 
-    `spectrum`, shape (c, b), is given, and `has`, shape (c, r), is the mask of each model's regressors.
+    `has`, shape (c, r), is the mask of each model's regressors.
     """
     if has.size and has.all():
         return _solved(ordinates, has, spectrum, ramp)
@@ -209,7 +201,7 @@ def regress(
     rows = np.flatnonzero(has.any(axis=1))
     if not rows.size:
         return beta, covariance, rest
-    # Skip regressors that no model has: most steps use only a few.
+    # Skip regressors that no model has.
     columns = np.flatnonzero(has.any(axis=0))
     seen = replace(
         ordinates, gram=ordinates.gram[np.ix_(columns, columns)], cross=ordinates.cross[columns], names=()
@@ -225,7 +217,6 @@ def regress(
 def _solved(
     ordinates: Ordinates, use: BoolArray, spectrum: FloatArray, ramp: FloatArray | None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the results of `regress` if every regressor is in some model; `use`, (c, r), is the mask."""
     grams, crosses = ordinates.gram, ordinates.cross
     number = use.shape[1]
     unit = np.eye(number)

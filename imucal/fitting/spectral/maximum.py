@@ -1,13 +1,11 @@
 """Maximum of the likelihood of many models at once: blind starting values, then damped Fisher scoring.
 
-Every set of terms is a mixture from a dictionary: the power laws, and the spectra of the other terms on a
-grid of correlation times. Multiplicative updates minimise the Itakura-Saito divergence, the negative
-log-likelihood, for all sets at once. Fisher scoring, damped as by Levenberg and Marquardt, starts at the best
-mixtures.
+Every set of terms is a mixture from a dictionary of spectra on a grid of correlation times. Multiplicative
+updates minimise the Itakura-Saito divergence, the negative log-likelihood. Fisher scoring, damped as by
+Levenberg and Marquardt, starts at the best mixtures.
 
 Source: Févotte & Idier (2011), Neural Computation 23, "Algorithms for NMF with the beta-divergence" (the
-majorisation-minimisation update, exponent 1/2, and the majorisation-equalisation update, exponent 1, which
-needs half as many rounds).
+majorisation-minimisation update, exponent 1/2, and the majorisation-equalisation update, exponent 1).
 """
 
 from dataclasses import fields
@@ -38,22 +36,14 @@ _JOIN = 8.0
 
 
 def given_up(value: FloatArray, gain: FloatArray, steps: int) -> BoolArray:
-    """Return the mask of the models that are far behind the best and do not catch up, shape (c,).
-
-    `gain` is of the last of `steps` steps. On simulated and real logs, no model that ends within 12.5 of the
-    best is given up.
-    """
+    """Return the mask of the models that are far behind the best and do not catch up."""
     most = [behind for first, behind in _BEHIND.items() if steps >= first]
     behind = value - np.min(value)
     return np.asarray((behind > (most[-1] if most else np.inf)) & (gain < _CATCHING_UP * behind))
 
 
 def bounds(ordinates: Ordinates, models: Models) -> tuple[FloatArray, FloatArray]:
-    """Return the lower and upper bounds of each parameter, shape (p,) each.
-
-    At the lower bound of its variance a term is invisible in every bin. A correlation time is between the
-    models' shortest and twice the record.
-    """
+    """Return the lower and upper bounds of each parameter, shape (p,) each."""
     times = slice(models.variances, models.response)
     eighths = np.arange(0, ordinates.size.size, 8)
     power = np.add.reduceat(ordinates.power, eighths) + 1e-300
@@ -81,9 +71,9 @@ def maximize(
 ) -> Fits:
     """Maximise the likelihood of each model from its row of `start`, shape (c, p).
 
-    `free`, shape (c, p), masks the parameters to move. `ramp` is a fixed ramp, see `evaluate`. `tolerance` is
-    the gain of the last step. A `handicap`, shape (c,), is added to the objectives, and models far behind the
-    best are given up early.
+    `free`, shape (c, p), masks the parameters to move. `ramp` is as in `evaluate`. `tolerance` is the gain of
+    the last step. With a `handicap` on the objectives, shape (c,), models far behind the best are given up
+    early.
     """
     low, high = bounds(ordinates, models)
     moving = models.free if free is None else free & models.free
@@ -156,16 +146,15 @@ def misfit(ordinates: Ordinates, found: Fits) -> Goodness:
 def misfit_factors(ordinates: Ordinates, found: Fits) -> FloatArray:
     """Return the factor by which a misfit widens the error of each variance parameter, shape (s,).
 
-    It is the root of the mean squared residual, weighted by the parameter's information: the robust variance
-    of one parameter of a misspecified model (Huber 1967, Proc. 5th Berkeley Symposium 1, 221). An absent
-    power law gets the information that it would have.
+    It is the root of the mean squared residual, weighted by the parameter's information (Huber 1967, Proc.
+    5th Berkeley Symposium 1, 221).
     """
     first, _, residual = _residuals(ordinates, found)
     parts = derivatives(ordinates, found.models, found.theta)[: found.models.variances]
     laws = ordinates.basis.shape[0]
     absent = np.flatnonzero(np.max(parts[:laws], axis=1) <= 0)
     parts[absent] = ordinates.basis[absent]
-    # Scale the maximum to one, so that small squares do not underflow.
+    # Scale, so that small squares do not underflow.
     share = parts / found.spectrum[0]
     share /= np.maximum(share.max(axis=1, keepdims=True), 1e-300)
     weight = np.add.reduceat(share**2 * ordinates.size, first, axis=1)
@@ -173,7 +162,6 @@ def misfit_factors(ordinates: Ordinates, found: Fits) -> FloatArray:
 
 
 def _residuals(ordinates: Ordinates, found: Fits) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return the first bin, the degrees of freedom and the residual of groups of bins."""
     ratio = ordinates.rest(found.beta[0]) / found.spectrum[0]
     group = np.floor((np.cumsum(ordinates.size) - ordinates.size / 2) / _JOIN)
     first = np.flatnonzero(np.diff(group, prepend=-1.0) != 0)
@@ -182,14 +170,13 @@ def _residuals(ordinates: Ordinates, found: Fits) -> tuple[IntArray, FloatArray,
     return first, size, residual
 
 
-#: Number of correlation times in the dictionary.
 _GRID = 16
 #: Rounds of updates, number of best mixtures of each model, and exponent.
 _EVERY = 1_000_000
 _THOROUGH, _QUICK = ((25, _EVERY, 0.5), (25, 40, 0.5)), ((6, _EVERY, 1.0), (19, 16, 1.0))
-#: Rows at a time: few enough for the cache and for a single thread of the linear algebra library.
+#: Rows at a time: few enough for the cache and for a single thread.
 _ROWS = 96
-#: Keeps logarithms and squares of inverses finite.
+#: Keeps logarithms and inverses finite.
 _TINY = 1e-140
 
 
@@ -211,9 +198,8 @@ def find_starts(
 ) -> tuple[IntArray, FloatArray]:
     """Return the best starts of each model: `keep` of them for 0, 1, 2 terms other than power laws.
 
-    The results are the model of each start, shape (s,), and its parameters, shape (s, p). More than two terms
-    of one kind have evenly spread times. `quick` selects mixtures after a quarter of the rounds. With a
-    `response`, mixtures describe the noise before the output filter.
+    The results are the model of each start, shape (s,), and its parameters, shape (s, p). With a `response`,
+    mixtures describe the noise before the filter.
     """
     times = time_grid(ordinates, models.shortest)
     plans = [_plan(tuple(row), models.slots[SHAPED:]) for row in models.has[:, SHAPED:].tolist()]
@@ -237,7 +223,7 @@ def find_starts(
 def fit_blindly(
     ordinates: Ordinates, models: Models, *, keep: tuple[int, int, int], tolerance: float
 ) -> Fits:
-    """Return the best maximum of each model from its starts, after at most 40 steps."""
+    """Return the best maximum of each model from its starts."""
     owner, theta = find_starts(ordinates, models, keep=keep)
     every = maximize(ordinates, models[owner], theta, tolerance=tolerance, iterations=40)
     rows = [np.flatnonzero(owner == index) for index in range(models.count)]
@@ -274,7 +260,7 @@ def _mixtures(  # noqa: PLR0917 - a helper of one caller
     """Return the parameters of each mixture, shape (s, p), and its -log L, shape (s,).
 
     `owner`, shape (s,), is the model of each mixture, and `places`, shape (s, g), are its terms. In each
-    round of the `plan` only the best mixtures of each model continue; -log L of the others is infinite.
+    round only the best mixtures of each model continue.
     """
     row, column = np.nonzero(places >= 0)
     place = places[row, column]

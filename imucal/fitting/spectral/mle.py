@@ -5,8 +5,7 @@ them all. With the response H of the Allan variance, the share of noise in the c
 
     sum H S_model / (sum H S_seen + lines).
 
-S_seen is the model behind its filter, and above the band the measured spectrum. Errors of the sums over bins
-cancel in the ratio.
+S_seen is the model behind its filter, and above the band the measured spectrum.
 """
 
 from dataclasses import replace
@@ -50,8 +49,8 @@ from imucal.recording import AxisSeries
 class View:
     """The part of the spectrum to fit.
 
-    `ordinates` are the bins of the `band`, and `whole` all bins of the `blocks`. `doubtful` are regressors
-    that may be needed in addition.
+    `ordinates` are the bins of the `band`, and `whole` all bins. `doubtful` are regressors that may be needed
+    in addition.
     """
 
     blocks: SeriesBlocks
@@ -67,8 +66,8 @@ def fit_mle(
 ) -> NoiseFit:
     """Fit a noise model to finite samples, gaps allowed, by maximum likelihood.
 
-    The Allan curve is only for the picture; a curve without samples is a ValueError. Samples that are too few
-    or all equal are a DataError. `temperature`, shape (n,), is in degrees Celsius at the samples.
+    A curve without samples is a ValueError. Samples that are too few or all equal are a DataError.
+    `temperature`, shape (n,), is in degrees Celsius at the samples.
     """
     if series is None:
         msg = "maximum likelihood needs the samples, got an Allan curve; use method 'gmwm' or 'slope'"
@@ -78,7 +77,6 @@ def fit_mle(
     problem = Problem(ordinates=view.ordinates, level=settings.level, tau0=series.tau0, widening=widening)
     choice = _choice(problem, view.band, settings)
     fitted, own, estimates = _estimates(problem, choice, view, settings)
-    # A misfit makes intervals too narrow.
     found = misfit(view.ordinates, fitted)
     misfits = misfits_of(problem, fitted, found)
     response = response_of(fitted, view.band, series.rate_hz)
@@ -100,7 +98,6 @@ def fit_mle(
         )
         return segments, find_variance_change(series)
 
-    # Terms that change over the record make intervals too narrow.
     (segments, change), not_compared = try_side_work(
         over_time,
         (None, None),
@@ -213,7 +210,7 @@ def _noise_share(view: View, fitted: Fits, curve: AllanCurve, rate_hz: float) ->
 
 
 def _spectra(whole: Ordinates, fitted: Fits, band: Band) -> tuple[FloatArray, FloatArray]:
-    """Return the model's spectrum and the spectrum of the curve in every bin, shape (b,) each."""
+    """Return the model's spectrum and the spectrum of the curve in every bin."""
     model = fitted.unfiltered(whole)
     inside = band.holds(whole)
     part = replace(whole[inside], top=band_top(band.fraction))
@@ -254,7 +251,7 @@ def _structures(structure: Structure | None, max_gm: int, *, white: bool) -> lis
 
 
 def _used(curve: AllanCurve, band: Band, corner: float) -> IntArray:
-    """Return the points of the curve at times longer than the periods of the filter and of excluded bins."""
+    """Return the points of the curve at times longer than the periods of the filter."""
     return np.flatnonzero(curve.m * min(band.fraction, corner) >= 1 - 1e-9)
 
 

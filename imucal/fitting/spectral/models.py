@@ -19,10 +19,10 @@ from imucal.fitting.spectral.ordinates import LAWS, SHAPED
 from imucal.frozen import frozen_alone
 from imucal.noise.terms import ALWAYS, TERMS, GaussMarkov, in_order, term_keys
 
-#: Symbols of a model's terms in the order of `imucal.noise.TERMS`, repeated terms repeatedly.
+#: Symbols of a model's terms in the order of `imucal.noise.TERMS`.
 Structure = tuple[str, ...]
 
-#: Shortest correlation time that `auto` fits, in samples: a shorter one belongs to an output filter.
+#: Shortest correlation time of `auto`, in samples: a shorter one belongs to an output filter.
 SHORTEST = 10.0
 #: Shortest correlation time of a given model, in samples.
 SHORTEST_GIVEN = 2.0
@@ -36,8 +36,8 @@ class Models:
     """The terms, regressors and response orders of c models.
 
     `has`, shape (c, s), masks the symbols `slots` in each model, `regressors`, shape (c, r), the regressors
-    `names`. `poles` and `zeros`, shape (c,), are the orders of the response; a row has `room_poles` columns
-    for it. Correlation times are at least `shortest` samples.
+    `names`. `poles` and `zeros` have shape (c,); a row has `room_poles` columns for the response. Correlation
+    times are at least `shortest` samples.
     """
 
     slots: tuple[str, ...]
@@ -71,7 +71,6 @@ class Models:
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Symbols of the terms that are not power laws, each once."""
         return tuple(dict.fromkeys(self.slots[SHAPED:]))
 
     @property
@@ -83,19 +82,17 @@ class Models:
 
     @property
     def parameters(self) -> IntArray:
-        """Number of parameters of each model, regressors included, shape (c,)."""
+        """Number of parameters of each model, regressors included."""
         return np.asarray(self.free.sum(axis=1) + self.regressors.sum(axis=1))
 
     @property
     def structures(self) -> list[Structure]:
-        """Symbols of each model's terms."""
         symbols = np.array([*self.slots, *self.names])
         named = self.regressors & (np.array(self.names) == "R")
         every = np.concatenate([self.has, named], axis=1)
         return [in_order(symbols[row].tolist()) for row in every]
 
     def __getitem__(self, index: IntArray | BoolArray | list[int]) -> "Models":
-        """Return some of the models; an index may be repeated."""
         rows = ("has", "poles", "zeros", "regressors")
         return replace(self, **{name: getattr(self, name)[index] for name in rows})
 
@@ -113,7 +110,7 @@ class Models:
     def columns(self, theta: FloatArray) -> list[tuple[str, int]]:
         """Return name and column of each parameter of the first model except R, such as ("GM1.T", 5).
 
-        Several Gauss-Markov terms are ``GM1``, ``GM2`` …, sorted by rising time in `theta`, shape (p,).
+        Several Gauss-Markov terms are ``GM1``, ``GM2`` …, sorted by rising time in `theta`.
         """
         slots = np.flatnonzero(self.has[0]).tolist()
         time = {at: at + len(self.slots) - SHAPED for at in slots if at >= SHAPED}
@@ -147,7 +144,7 @@ def models_of(
     """Return one model for each structure, with all of the regressors `names`.
 
     The ramp ``R`` is only in structures that contain it. `poles` and `zeros` are equal for all models or
-    given for each. `room_poles` is by default the largest of `poles`.
+    given for each.
     """
     count = len(structures)
     most = {symbol: max((own.count(symbol) for own in structures), default=0) for symbol in TERMS}

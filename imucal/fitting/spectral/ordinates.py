@@ -1,7 +1,5 @@
 """The data of the likelihood: sums of squared DCT ordinates in bins, and regressors.
 
-The bins of several unbroken blocks follow each other: the likelihoods of the blocks multiply.
-
 A regressor is a slow, known shape that the fit removes by generalised least squares. Its name defines it;
 places and times are in samples, from the first sample of the record:
 
@@ -29,9 +27,8 @@ from imucal.powerlaw import PowerLaw
 LAWS = tuple(PowerLaw)
 #: First column after the variances of the power laws in a row of parameters.
 SHAPED = len(LAWS)
-#: Starting values use at most the number of bins of this many blocks.
+#: Starting values use at most the bins of this many blocks.
 _FEW_BLOCKS = 2
-#: Fields of `Ordinates` with the bins along the last axis.
 _BINNED = ("size", "power", "lam", "length", "sign", "basis", "cross", "gram")
 
 
@@ -40,11 +37,10 @@ class Ordinates:
     """Binned DCT ordinates, in scaled units: samples divided by `scale`, sampling period 1.
 
     `scale` is U per scaled unit: a power of two, so that scaling is exact. Each bin, shape (b,), has `size`
-    degrees of freedom (kept ordinates minus the loss to gaps), `power`, the sum of their squares, `lam`, the
-    mean of 4 sin²(theta/2), the `length` of its block in samples, and `sign`, (-1)^k for a single ordinate k
-    and 0 for several. `basis`, shape (4, b), is the expected square for a unit variance of each of `LAWS`.
-    For the regressors `names`, `cross` and `gram` are as in `Bins`. `top` is lam at the upper end of the
-    band, the unit of a response's coefficients.
+    degrees of freedom, `power`, the sum of their squares, `lam`, the mean of 4 sin²(theta/2), the `length` of
+    its block in samples, and `sign`, (-1)^k for a single ordinate k and 0 for several. `basis`, shape (4, b),
+    is the expected square for a unit variance of each of `LAWS`. `cross` and `gram` are as in `Bins`. `top`
+    is lam at the end of the band.
     """
 
     scale: float
@@ -61,7 +57,6 @@ class Ordinates:
 
     @property
     def count(self) -> float:
-        """Number of ordinates: the sample size for an information criterion."""
         return float(self.size.sum())
 
     @property
@@ -71,16 +66,15 @@ class Ordinates:
 
     @property
     def fraction(self) -> FloatArray:
-        """Frequency of each bin as a fraction of Nyquist, shape (b,)."""
+        """Frequency of each bin as a fraction of Nyquist."""
         return 2 / np.pi * np.arcsin(np.sqrt(np.minimum(self.lam, 4.0)) / 2)
 
     def __getitem__(self, select: BoolArray) -> "Ordinates":
-        """Return the bins where `select`, shape (b,), is true."""
         return replace(self, **{name: getattr(self, name)[..., select] for name in _BINNED})
 
     @classmethod
     def joined(cls, parts: Sequence["Ordinates"]) -> "Ordinates":
-        """Return the bins of all parts, which share scale and regressors, one after the other."""
+        """Return the bins of all parts, which share scale and regressors."""
         every: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in _BINNED
         }
@@ -103,7 +97,7 @@ class Ordinates:
         return replace(self, power=self.power * inverse, cross=self.cross * inverse, gram=self.gram * inverse)
 
     def detrended(self) -> "Ordinates":
-        """Return the ordinates minus a roughly fitted ramp, for starting values."""
+        """Return the ordinates minus a roughly fitted ramp."""
         if "R" not in self.names:
             return self
         at = self.names.index("R")
@@ -114,12 +108,12 @@ class Ordinates:
 
 
 def band_top(fraction: float) -> float:
-    """Return lam at a fraction of Nyquist, the upper end of a band."""
+    """Return lam at a fraction of Nyquist."""
     return 4 * float(np.sin(np.pi / 2 * fraction)) ** 2
 
 
 def bin_shapes(bins: DctBins) -> dict[str, Any]:
-    """Return the fields of `Ordinates` that do not depend on the samples, by name."""
+    """Return the fields of `Ordinates` that do not depend on the samples."""
     return {
         "lam": LAWS[0].psd(bins.omega),
         "length": np.full(bins.size, float(bins.n)),
@@ -135,10 +129,7 @@ def _basis(bins: DctBins) -> FloatArray:
 
 
 def coarser(ordinates: Ordinates, *, singles: int = 12, merge: int = 6) -> Ordinates:
-    """Return fewer bins: the first `singles` of each block unchanged, then groups of `merge` bins.
-
-    If there are many blocks, bins of similar frequency are merged again, to limit their number.
-    """
+    """Return fewer bins: the first `singles` of each block unchanged, then groups of `merge` bins."""
     size = ordinates.size
     starts = np.concatenate([[0], np.flatnonzero(np.diff(ordinates.lam) < 0) + 1, [size.size]])
     edges: list[int] = []
@@ -155,7 +146,7 @@ def coarser(ordinates: Ordinates, *, singles: int = 12, merge: int = 6) -> Ordin
 
 
 def _merged(ordinates: Ordinates, first: IntArray) -> Ordinates:
-    """Return groups of bins as single bins; `first` are the rising indices of their first bins."""
+    """Return groups of bins as single bins; `first` are the indices of their first bins."""
     size = ordinates.size
     total = np.add.reduceat(size, first)
     single = np.diff(first, append=size.size) == 1
@@ -191,22 +182,19 @@ def exponential_ordinates(n: int, count: int, time: float, offset: int) -> Float
     return float(np.exp(-offset / time)) * shape
 
 
-#: Number of temperature means per requested ordinate, if few are requested.
+#: Number of temperature means per requested ordinate.
 _MEANS = 4
 
 
 def regressor_ordinates(
     name: str, n: int, count: int, *, offset: int = 0, temperature: FloatArray | None = None
 ) -> FloatArray:
-    """Return the ordinates k = 1 … count of a regressor in `n` samples from place `offset` on.
-
-    `temperature`, shape (n,), is given at these samples.
-    """
+    """Return the ordinates k = 1 … count of a regressor in `n` samples from place `offset` on."""
     kind, value = _parsed(name)
     if kind == "temperature":
         if temperature is None:
             raise ValueError(f"regressor {name!r} needs the temperature of the samples, got none")
-        # If few are requested, transform means over equal spans: fast, and the same at low frequencies.
+        # Transform means over equal spans: fast, and the same at low frequencies.
         spans = min(n, _MEANS * (count + 1))
         if spans < n:
             total = np.concatenate([[0.0], np.cumsum(temperature - temperature[0])])
@@ -231,7 +219,7 @@ def _parsed(name: str) -> tuple[str, float]:
 
 
 def regressor_samples(name: str, places: FloatArray, temperature: FloatArray | None = None) -> FloatArray:
-    """Return the regressor at `places` from the first sample of the record, shape of `places`."""
+    """Return the regressor at `places` from the first sample of the record."""
     kind, value = _parsed(name)
     if kind == "temperature" and temperature is not None:
         return lagged(temperature, value)
@@ -262,7 +250,7 @@ def cycle_ordinates(
     """Return the ordinates at angles `theta` = pi k/n of cos(omega (t + 1/2) + phase), t = 0 … n-1.
 
     With D(a) = sin(n a/2) / sin(a/2), Dirichlet's kernel: sqrt(2/n)/2 sum over a = omega ± theta of D(a)
-    cos(n a/2 + phase). The arguments are broadcast together.
+    cos(n a/2 + phase).
     """
     total: FloatArray | float = 0.0
     for angle in (omega + theta, omega - theta):

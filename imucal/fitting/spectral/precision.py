@@ -1,10 +1,10 @@
 """Precision of each coefficient that a record of a given length allows: the numerical Cramér-Rao bound.
 
 The squared DCT ordinates of a record are independent with the expectation S(theta), so the information on
-variance parameters is half the sum of d ln S d ln S' over all ordinates. The information on the ramp, a mean,
-is the sum of its squared ordinates over S.
+variance parameters is half the sum of d ln S d ln S' over all ordinates. The information on the ramp is the
+sum of its squared ordinates over S.
 
-Source: Whittle (1953); the limits for N, K, B and R alone are in the tests.
+Source: Whittle (1953).
 """
 
 import math
@@ -31,12 +31,12 @@ def relative_deviations(
 ) -> dict[str, float]:
     """Return the relative standard error of each parameter that a record of `duration_s` allows.
 
-    The fit has every term of the model and the `added` power laws, whose coefficients are zero. The result is
-    infinite for a term with coefficient 0, and for a record with fewer samples than parameters.
+    The fit also has the `added` power laws, whose coefficients are zero. The result is infinite for a term
+    with coefficient 0, and for a record with fewer samples than parameters.
     """
     names = [name for _, own in named_terms(model) for name in own]
     n = round(duration_s * rate_hz)
-    # The size of the added terms has no effect on the deviations of the others.
+    # Their size has no effect.
     terms = [*model.terms, *(TERMS[symbol].of(1.0) for symbol in added)]
     if n <= len(names) + len(terms) - len(model.terms) + 1:
         return dict.fromkeys(names, math.inf)
@@ -68,7 +68,7 @@ def _deviations(scaled: FloatArray, length: FloatArray) -> list[float]:
     """Return the square roots of the diagonal of (scaled scaled')^-1, inf if rows are collinear."""
     if not scaled.size:
         return []
-    # The QR factor of the rows has the square root of the information's condition, not its square.
+    # QR: the condition is the square root of the information's.
     factor = np.linalg.qr((scaled / length[:, np.newaxis]).T, mode="r")
     if np.abs(np.diag(factor)).min() < 1e-12:
         return [math.inf] * length.size

@@ -16,13 +16,11 @@ from imucal.frozen import frozen_alone
 from imucal.noise.model import structure_text
 
 #: Distance from the best on coarse bins of models that are fitted on all bins; larger behind an output
-#: filter, whose response adapts only in this fit.
+#: filter, whose response adapts only then.
 _REFINED_WITHIN, _REFINED_BEHIND = 25.0, 120.0
-#: Largest number of models fitted on all bins.
 _MAX_REFINED = 16
-#: Models whose criterion is within this of the best are listed.
 _LISTED_WITHIN = 6.0
-#: Distance in twice the log-likelihood within which a second maximum is as good as the first.
+#: Distance in twice the log-likelihood of an equally good second maximum.
 _AS_GOOD = 4.0
 
 
@@ -40,7 +38,6 @@ class RankedModels:
 
     @property
     def structures(self) -> list[Structure]:
-        """Symbols of each model's terms."""
         return self.fits.models.structures
 
 
@@ -54,8 +51,7 @@ def choose(
 ) -> RankedModels:
     """Fit every structure and return the fits by rising criterion.
 
-    Correlation times are at least `shortest` samples. `band` has the order of the output filter's response
-    and its starting coefficients.
+    Correlation times are at least `shortest` samples. `band` has the output filter's response.
     """
     poles, zeros = (band.poles, band.zeros) if band else (0, 0)
     models = models_of(structures, ordinates.names, poles=poles, zeros=zeros, shortest=shortest)
@@ -70,7 +66,7 @@ def choose(
         free[:, models.width - poles :] = False
     cost = CRITERIA[criterion](ordinates.count) * models.parameters.astype(np.float64)
     rough = maximize(
-        # Fewer bins are enough: the spectra are smooth, and the best models are fitted again on all bins.
+        # Fewer bins are enough: the best models are fitted again on all bins.
         coarser(ordinates, singles=24, merge=8),
         models[owner],
         theta,
@@ -139,7 +135,7 @@ def near_candidates(choice: RankedModels) -> tuple[Candidate, ...]:
 
 
 def choice_findings(choice: RankedModels, axis: str) -> tuple[Finding, ...]:
-    """Return findings about equally good models, and about a second maximum of the best."""
+    """Return findings about equally good models, and about a second maximum."""
     near = near_candidates(choice)
     findings = []
     if len(near) > 1:

@@ -5,8 +5,7 @@ A response multiplies the spectrum of the noise:
     |H|² = (1 - lam/4)^z / (1 + a_1 x + … + a_j x^j),   x = lam / top,  lam = 4 sin²(theta/2).
 
 It is exact for every all-pole filter of order j (z = 0) and, by the bilinear transform, for every Butterworth
-filter (z = j). Other smooth low-pass filters are close to one of these below their corner. The gain at zero
-frequency is 1, so that N keeps its meaning.
+filter (z = j). The gain at zero frequency is 1, so that N keeps its meaning.
 """
 
 from dataclasses import replace
@@ -25,11 +24,10 @@ from imucal.fitting.spectral.ordinates import Ordinates, band_top
 from imucal.frozen import frozen_alone
 
 _NUMBER = ("no", "one", "two", "three", "four", "five")
-#: Largest difference of |H|² from a Butterworth filter's with this name.
+#: Largest difference of |H|² from a Butterworth filter's.
 _SAME_RESPONSE = 0.02
 #: Lowest and highest starting corner, as fractions of the band, and number of corners.
 CORNERS = (0.03, 0.97, 24)
-#: Number of bins that show the highest frequencies of the band.
 HIGHEST = 8
 
 #: Poles and zeros of a response.
@@ -41,9 +39,9 @@ class Band:
     """The part of the spectrum to fit, up to a `fraction` of Nyquist, and the response there.
 
     `order` has the poles and zeros of the simplest sound response. The response to fit has `poles` and
-    `zeros`, one order more, or 0 if it is flat, and the coefficients `response`. Gauss-Markov terms have
-    correlation times of at least `shortest` samples. `masked` is the correlation time, in samples, of a term
-    that could explain the spectrum instead of the filter, or 0. The bins of a `hump` are excluded.
+    `zeros`, one order more, or 0 if it is flat. Correlation times are at least `shortest` samples. `masked`
+    is the correlation time, in samples, of a term that could explain the spectrum instead of the filter, or
+    0. The bins of a `hump` are excluded.
     """
 
     fraction: float
@@ -62,7 +60,6 @@ class Band:
         return self.poles == 0 and self.fraction == 1.0 and self.hump is None
 
     def holds(self, ordinates: Ordinates) -> BoolArray:
-        """Return the mask of the bins in the band, shape (b,)."""
         fraction = ordinates.fraction
         inside = fraction <= self.fraction * (1 + 1e-9)
         if self.hump:
@@ -83,7 +80,7 @@ def response_of(fitted: Fits, band: Band, rate_hz: float) -> Response | None:
 
 
 def corner_of(band: Band) -> float | None:
-    """Return the -3 dB corner of a band's response, as a fraction of Nyquist, or None."""
+    """Return the -3 dB corner of a band's response, as a fraction of Nyquist."""
     return _response(band, band.response, band.zeros)[2] if band.order[0] else None
 
 
@@ -94,7 +91,7 @@ def _fitted_response(fitted: Fits, band: Band) -> tuple[FloatArray, FloatArray, 
 
 
 def _response(band: Band, response: FloatArray, zeros: int) -> tuple[FloatArray, FloatArray, float | None]:
-    """Return frequencies of the band as fractions of Nyquist, their |H|², shape (2000,), and the corner."""
+    """Return frequencies of the band as fractions of Nyquist, their |H|², and the corner."""
     frequency = np.linspace(0.0, band.fraction, 2001)[1:]
     power = power_response(4 * np.sin(np.pi / 2 * frequency) ** 2, band_top(band.fraction), response, zeros)
     below = np.flatnonzero(power < 0.5)
@@ -102,13 +99,13 @@ def _response(band: Band, response: FloatArray, zeros: int) -> tuple[FloatArray,
 
 
 def power_response(lam: FloatArray, top: float, response: FloatArray, zeros: int) -> FloatArray:
-    """Return |H|² at `lam`, shape (b,), for the coefficients a, shape (poles,)."""
+    """Return |H|² at `lam`, for the coefficients a, shape (poles,)."""
     denominator = 1 + (lam[:, None] / top) ** np.arange(1, response.size + 1) @ response
     return np.asarray(np.maximum(1 - lam / 4, 0.0) ** zeros / denominator)
 
 
 def _kind(band: Band, frequency: FloatArray, power: FloatArray, corner: float) -> str:
-    """Return the name of the family, such as ``one-pole``, ``butterworth-2`` or ``three-pole``."""
+    """Return the name of the family, such as ``one-pole`` or ``butterworth-2``."""
     poles, zeros = band.order
     used = frequency < 0.98
     if zeros == poles:
@@ -122,7 +119,7 @@ def _kind(band: Band, frequency: FloatArray, power: FloatArray, corner: float) -
 def filter_finding(
     fitted: Fits, band: Band, response: Response | None, *, rate_hz: float, axis: str
 ) -> tuple[Finding, ...]:
-    """Return the finding about an output filter or a hump; () if the whole band is flat."""
+    """Return the finding about an output filter or a hump."""
     top = band.fraction * rate_hz / 2
     if band.flat:
         return ()
@@ -151,7 +148,6 @@ def filter_finding(
 def _two_readings(
     fitted: Fits, band: Band, response: Response | None, *, rate_hz: float, axis: str
 ) -> Finding:
-    """Return the warning for a spectrum that a filter and a Gauss-Markov term explain equally well."""
     of_filter, time_s = "", band.masked / rate_hz
     if response:
         of_filter = f" ({response.kind}, -3 dB at {response.cutoff_hz:.3g} Hz)"
@@ -178,9 +174,9 @@ def start_response(
 ) -> FloatArray:
     """Return starting parameters, shape (1, p): the given slow terms, and a response from the spectrum.
 
-    The first `width` columns of `low` contain the slow terms; `room` columns for the response follow. Above
-    `lowest`, a fraction of Nyquist, white noise dominates: numerator / S = (1 + sum a_i x^i) / N² is a linear
-    regression in 1/N² and a/N². If its result is not positive, use the best Butterworth response.
+    The first `width` columns of `low` contain the slow terms. Above `lowest`, a fraction of Nyquist,
+    numerator / S = (1 + sum a_i x^i) / N² is a linear regression. If its result is not positive, use the best
+    Butterworth response.
     """
     poles, zeros = order
     theta = np.concatenate([low[:, :width], np.zeros((1, room))], axis=1)
@@ -204,7 +200,7 @@ def start_response(
             break
         solution = better
     if solution[0] <= 0:
-        # It is positive in every bin, but not at zero frequency.
+        # Positive in every bin, but not at zero frequency.
         solution = _flattest(seen, high, numerator, order, lowest)
     theta[0, 1] = -np.log(solution[0])
     theta[0, width : width + poles] = solution[1:] / solution[0]

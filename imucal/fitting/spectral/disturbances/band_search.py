@@ -1,14 +1,12 @@
 """Search for the part of the spectrum and the response of the output filter that a model describes.
 
 If a fit ignores the sensor's output filter, every term is wrong. The search combines a narrower band with a
-response that multiplies the spectrum (`band`). A description is sound if its misfit is within chance and the
-next orders of the response gain nothing. The search takes the sound description that determines N best, with
+response that multiplies the spectrum (`band`). It takes the sound description that determines N best, with
 one order more than necessary, so that the remaining error of the response does not bias N.
 
 White noise behind a one-pole filter has exactly the spectrum of a Gauss-Markov term without white noise, but
 every sensor has white noise. So, if a Gauss-Markov term makes up the top of the spectrum, the search is
-repeated with correlation times that are too long to imitate a filter. If this finds a sound description, N is
-the level in front of the filter, and a finding explains both readings.
+repeated with correlation times that are too long to imitate a filter.
 """
 
 from collections.abc import Callable
@@ -53,34 +51,32 @@ def _no_rounding() -> float:
 BANDS = (
     1.0, 0.9, 0.7, 0.5, 0.35, 0.25, 0.18, 0.125, 0.09, 0.0625, 0.045, 0.03125, 0.022, 0.016, 0.011, 0.008
 )  # fmt: skip
-#: Fraction of Nyquist below which most filters are flat and slow terms are first fitted.
+#: Fraction of Nyquist below which most filters are flat.
 _LOW = 0.03125
-#: Misfit score below which a description is sound; the same for the whole band without a response.
+#: Misfit score below which a description is sound; the same for a flat band.
 _SOUND, _SOUND_FLAT = 3.0, 4.0
-#: Misfit score from which a hump is searched: one in 40 clean records.
+#: Misfit score from which a hump is searched.
 _UNSURE = 2.0
-#: Largest gain by chance of one and two more orders of the response, in twice the log-likelihood; larger for
-#: a flat band, because a filter that does not exist makes N wrong by a factor of two.
+#: Largest gain by chance of one and two more orders, in twice the log-likelihood; larger for a flat band,
+#: because a filter that does not exist makes N wrong by a factor of two.
 _GAIN, _GAIN_FLAT = (9.0, 12.0), (12.0, 15.0)
-#: Gains that a filter needs if quantization explains at least this share of the top: both bend it.
+#: Gains that a filter needs if quantization has at least this share of the top: both bend it.
 _GAIN_QUANTIZED, _QUANTIZED = (30.0, 33.0), 0.2
-#: Share of the power at the top above which a Gauss-Markov term hides the white noise.
+#: Share of the top above which a Gauss-Markov term hides the white noise.
 _MASKING = 0.5
-#: Density ratio of a Gauss-Markov term to the white noise above which the white noise is compared with the
-#: rounding; variance ratio to the rounding below which it is not the sensor's.
+#: Density ratio of a Gauss-Markov term to the white noise above which the white noise may be rounding;
+#: variance ratio to the rounding below which it is.
 _ABOVE, _ROUNDED = 4.0, 3.0
-#: Factor by which a Gauss-Markov term's time must be longer so that it can't imitate the filter.
+#: Factor on the shortest correlation time of a term that can't imitate the filter.
 _SLOWER = 10.0
-#: Highest number of poles.
 _ORDERS = 5
-#: The zeros of a response are visible above this fraction of Nyquist; at Nyquist the response is zero.
+#: Fraction of Nyquist above which the zeros of a response are visible; at Nyquist the response is zero.
 _NARROW = 0.4
 _ALL_POLES: list[Order] = [(poles, 0) for poles in range(_ORDERS + 1)]
 _WITH_ZEROS: list[Order] = [
     *_ALL_POLES,
     *((z + more, z) for z in (1, 2, 3, 4) for more in (0, 1, 2) if z + more <= _ORDERS),
 ]
-#: Fewest bins of a band.
 _MIN_BINS = 24
 
 
@@ -106,8 +102,7 @@ def find_band(
     """Return the band and response that a rich model describes, which contains all candidates.
 
     Q is only fitted without a response, because both bend the top of the spectrum. A `given` structure is
-    preferred if it describes the whole band, with any correlation times and mostly white noise at the top. A
-    band up to `near`, a fraction of Nyquist, that is known not to be flat is tried first.
+    preferred if it describes the whole band. A band up to `near`, a fraction of Nyquist, is tried first.
     """
     coarse = _coarse(ordinates)
     plain = tuple(symbol for symbol in rich if symbol != "Q")
@@ -125,7 +120,6 @@ def find_band(
 
 
 def _as_a_filter(found: Band, coarse: Ordinates, plain: Structure, rounding: Rounding) -> Band | None:
-    """Return a filter that explains the spectrum as well as a Gauss-Markov term that hides N, or None."""
     if not found.masked:
         return None
     behind = _BandSearch(coarse, plain, _SLOWER * found.masked, rounding).sound(None)
@@ -133,7 +127,7 @@ def _as_a_filter(found: Band, coarse: Ordinates, plain: Structure, rounding: Rou
 
 
 def _around_hump(coarse: Ordinates, rich: Structure, flat: Band | None) -> Band | None:
-    """Return the whole band without a hump, if power laws describe it better than the `flat` band."""
+    """Return the whole band without a hump, or None."""
     laws = tuple(symbol for symbol in rich if symbol in {"N", "B", "K", "R"})
     hump = find_hump(coarse, laws) if "N" in laws else None
     if hump is None:
@@ -151,7 +145,7 @@ def flat_band(
     given: Structure | None = None,
     rounding: Rounding = _no_rounding,
 ) -> Band | None:
-    """Return the whole band without a response, or None if the data need one; see `find_band`."""
+    """Return the whole band without a response, or None if the data need one."""
     coarse = _coarse(ordinates)
     if given is not None and shaped_symbols(given):
         own = _BandSearch(coarse, given, SHORTEST_GIVEN)
@@ -166,7 +160,7 @@ def _coarse(ordinates: Ordinates) -> Ordinates:
 
 
 class _BandSearch:
-    """Fits of one structure to several bands with several responses."""
+    """Fits of one structure to several bands and responses."""
 
     def __init__(
         self, ordinates: Ordinates, structure: Structure, shortest: float, rounding: Rounding = _no_rounding
@@ -187,7 +181,6 @@ class _BandSearch:
         )
 
     def blind(self, seen: Ordinates) -> FloatArray:
-        """Return parameters of the best blind fit without a response, shape (1, p)."""
         models = self.models([(0, 0)])
         return fit_blindly(seen, models, keep=(1, 2, 4), tolerance=1e-3).theta
 
@@ -200,7 +193,7 @@ class _BandSearch:
         *,
         tolerance: float = 1e-3,
     ) -> list[_Trial]:
-        """Fit one band with some responses, each from its row of `starts`, shape (k, p)."""
+        """Fit one band with some responses, each from its row of `starts`."""
         every = maximize(seen, self.models(orders), starts, tolerance=tolerance, iterations=60)
         return [
             _Trial(
@@ -222,7 +215,7 @@ class _BandSearch:
         bent = "Q" in self.structure and quantization > _QUANTIZED * self.level_at_the_top()
         chance = _GAIN_QUANTIZED if bent else _GAIN_FLAT
         if not _enough(trials, chance, _SOUND_FLAT):
-            # The richer fits may have found better slow terms: start again from those.
+            # The richer fits may have found better slow terms.
             again = np.concatenate([t.fit.theta for t in trials])
             again[:, self.width :] = 0.0
             flat = self.fit(self.ordinates, 1.0, [(0, 0)] * 3, again)
@@ -237,7 +230,7 @@ class _BandSearch:
         return float(np.exp(self.blind(self.ordinates)[0, 1])) > 0.5 * self.level_at_the_top()
 
     def sound(self, near: float | None) -> Band | None:
-        """Return a sound description that ends at `near`, or the best of all bands, or None."""
+        """Return a sound description that ends at `near`, or the best of all bands."""
         narrow = self.ordinates.below(_LOW)
         low = self.blind(narrow if narrow.size.size >= _MIN_BINS else self.ordinates)
         if near is not None and (found := _simplest(self.responses(near, low))):
@@ -260,7 +253,6 @@ class _BandSearch:
         return self.band(min(self.tried, key=lambda t: t.statistic))
 
     def responses(self, fraction: float, low: FloatArray) -> list[_Trial]:
-        """Return the fits of one band with every order of the response, if their likelihood is finite."""
         seen = self.ordinates.below(fraction)
         orders = _WITH_ZEROS if _NARROW < fraction < 1 else _ALL_POLES
         lowest = min(CORNERS[0], 1 / self.shortest)
@@ -272,7 +264,7 @@ class _BandSearch:
         return [t for t in fits if np.isfinite(t.fit.objective[0])]
 
     def simplest(self, found: tuple[_Trial, _Trial]) -> Band:
-        """Return the band of a sound description, with one order more than necessary unless it is flat."""
+        """Return the band of a sound description, with one order more unless it is flat."""
         simplest, richer = found
         flat = simplest.order == (0, 0) and simplest.fraction == 1.0
         return self.band(simplest if flat else richer, simplest.order)
@@ -296,20 +288,19 @@ class _BandSearch:
         times = found.theta[0, found.models.variances : found.models.response]
         if not times.size:
             return 0.0
-        # Compare with the white noise where the response is flat.
+        # Compare where the response is flat.
         power = power_response(seen.lam, seen.top, found.theta[0, self.width :], trial.order[1])
         parts = derivatives(seen, found.models, found.theta)[: found.models.variances, power > 0.5]
         white, shaped = parts[COLUMN["N"]], parts[SHAPED:]
         top = parts[:, -HIGHEST:].sum(axis=1)
         hidden = top[SHAPED:].sum() > _MASKING * top.sum()
         if not hidden and np.any(shaped > _ABOVE * white):
-            # The white noise is visible, but it may be rounding noise.
             hidden = float(np.exp(found.theta[0, COLUMN["N"]])) < _ROUNDED * self.rounding()
         return float(np.exp(times[np.argmax(top[SHAPED:])])) if hidden else 0.0
 
 
 def _simplest(trials: list[_Trial]) -> tuple[_Trial, _Trial] | None:
-    """Return the simplest sound description of a band and the description with the next order."""
+    """Return the simplest sound description of a band and the one with the next order."""
     by_order = {t.order: t for t in trials}
     for poles, zeros in sorted(by_order, key=lambda order: (sum(order), order)):
         nested = [by_order[o] for more in range(3) if (o := (poles + more, zeros)) in by_order]
@@ -319,7 +310,6 @@ def _simplest(trials: list[_Trial]) -> tuple[_Trial, _Trial] | None:
 
 
 def _enough(trials: list[_Trial], chance: tuple[float, float] = _GAIN, sound: float = _SOUND) -> bool:
-    """Whether the first of nested trials is sound and the next orders gain no more than by chance."""
     first = trials[0]
     gains = [2 * float(first.fit.objective[0] - t.fit.objective[0]) for t in trials[1:]]
     return first.statistic < sound and all(g < most for g, most in zip(gains, chance, strict=False))

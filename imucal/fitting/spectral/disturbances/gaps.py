@@ -20,17 +20,16 @@ import numpy as np
 from imucal.allan.dct import DctBins, dct2, idct2
 from imucal.arrays import BoolArray, FloatArray, IntArray
 
-#: Largest expected change of the spectrum in a next round: the previous change times the lost information.
+#: Largest expected change of the spectrum in a next round.
 _MOVED = 3e-4
-#: Largest number of rounds, and the number if a gap has more samples than this: a duty cycle has information
-#: on some frequencies only, and more rounds make lines of the others.
+#: Largest number of rounds, and the number if a gap has more samples than this: with information on some
+#: frequencies only, more rounds make lines of the others.
 _ROUNDS, _ROUNDS_IF_LONG, _LONG = 40, 8, 64
-#: Ratio of frequencies, and least number of groups a side, over which the missing samples' variance is
-#: averaged.
+#: Ratio of frequencies, and least number of groups a side, over which a variance is averaged.
 _NEAR, _NEIGHBOURS = 1.5, 2
 _STEPS = 40
 _CLOSE = 1e-3
-#: Largest number of missing samples, and of sines per sample, for direct sums: above, transforms are faster.
+#: Largest number of missing samples, and of sines per sample, for direct sums; beyond, transforms are faster.
 _FEW, _DIRECT = 1000, 30
 _SEED = 20_24
 
@@ -40,8 +39,8 @@ def complete(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return expected ordinates, their variances, the lost information, and a draw of the missing samples.
 
-    `samples`, shape (n,), are overwritten; only `seen` ones count. Ordinates and variances have shape (n-1,).
-    The lost share of each bin's information has shape (b,), the drawn missing samples shape (g,).
+    `samples`, shape (n,), are overwritten; only `seen` ones count. The results have the shapes (n-1,) twice,
+    (b,) and (g,).
     """
     n = samples.size
     gaps = np.flatnonzero(~seen)
@@ -58,7 +57,6 @@ def complete(
         previous, spectrum = spectrum, _means(mean_of[1:], groups) + variance
         if number and np.all(np.abs(spectrum - previous) * variance < _MOVED * previous * spectrum):
             break
-        # Reuse the transform of the samples; the draw is made in the transform's domain.
         right = idct2(_weighed(mean_of, 1 / spectrum, groups))[gaps]
         del mean_of
         draw = np.empty(n)
@@ -70,8 +68,7 @@ def complete(
         unit = float(np.median(np.repeat(spectrum, np.diff(ends))))
         samples[gaps] -= _conjugate(apply, right, unit)
         error = _conjugate(apply, drawn, unit)
-        # Its expectation is the number of missing samples. One draw's deviation would shift the level of
-        # white noise.
+        # Its expectation is the number of missing samples; a draw's deviation would shift the level.
         error *= np.sqrt(gaps.size / (drawn @ error))
         variance = _smooth(_means(dct2(_padded(error, gaps, n))[1:], groups), groups, count)
         mean_of = dct2(samples)
@@ -84,8 +81,7 @@ def complete(
 def _smooth(variance: FloatArray, groups: IntArray, count: IntArray) -> FloatArray:
     """Return the means of a variance over neighbouring groups, shape of `groups`.
 
-    The scatter of a single draw would resemble a misfit, and a low draw in a group alone could reduce the
-    spectrum in each round, down to zero.
+    A low draw in a group alone could reduce the spectrum in each round, down to zero.
     """
     middle, place = groups + 0.5 * count, np.arange(groups.size)
     first = np.minimum(np.searchsorted(middle, middle / _NEAR), np.maximum(place - _NEIGHBOURS, 0))
@@ -99,8 +95,8 @@ def _smooth(variance: FloatArray, groups: IntArray, count: IntArray) -> FloatArr
 def _between(samples: FloatArray, gaps: IntArray) -> FloatArray:
     """Return straight lines over each gap, shape (g,); constants at the ends of the record.
 
-    A line joins the means of up to as many samples on either side as are missing: a single neighbour's noise
-    over a whole gap would add far too much power at low frequencies.
+    A line joins the means of as many samples on either side as are missing: a single neighbour's noise over a
+    whole gap would add far too much power at low frequencies.
     """
     begins = np.diff(gaps, prepend=-2) > 1
     gap = np.cumsum(begins) - 1
@@ -131,7 +127,6 @@ class _Pairs:
 
     @classmethod
     def of(cls, gaps: IntArray, n: int, groups: IntArray) -> "_Pairs | None":
-        """Return the distances, or None if there are so many that transforms are faster."""
         if gaps.size > _FEW:
             return None
         apart, beyond = np.abs(gaps[:, np.newaxis] - gaps), gaps[:, np.newaxis] + gaps + 1
@@ -182,7 +177,7 @@ def _padded(values: FloatArray, gaps: IntArray, n: int) -> FloatArray:
 
 
 def _weighed(ordinates: FloatArray, weight: FloatArray, groups: IntArray) -> FloatArray:
-    """Multiply ordinates 0 … n-1 in place by their group's weight, ordinate 0 by 0; return them."""
+    """Multiply ordinates 0 … n-1 in place by their group's weight, ordinate 0 by 0."""
     ordinates[0] = 0.0
     for (start, stop), factor in zip(_spans(ordinates.size - 1, groups), weight.tolist(), strict=True):
         ordinates[start + 1 : stop + 1] *= factor
@@ -201,7 +196,7 @@ def _spans(n: int, groups: IntArray) -> list[tuple[int, int]]:
 
 
 def _groups(bins: DctBins) -> IntArray:
-    """Return the first index of each group of neighbouring bins of 16 ordinates or more."""
+    """Return the first index of each group of bins of 16 ordinates or more."""
     starts = bins.first - 1
     chosen = [0]
     for start in starts[1:].tolist():

@@ -1,8 +1,7 @@
 """Vibration and sway: an interval of frequencies with more power than the white noise below and above it.
 
 A low-pass filter can imitate such a hump, and the fit then reports too much white noise. Repeated fits of
-power laws to the bins outside find the interval. It is excluded as a whole, because a threshold for single
-bins would keep the low ones.
+power laws to the bins outside find the interval, which is excluded as a whole.
 """
 
 from dataclasses import replace
@@ -17,21 +16,20 @@ from imucal.fitting.spectral.models import COLUMN, Structure, models_of
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.frozen import frozen
 
-#: A hump is the run of bins with the largest sum of standardised residuals, each less `_EXCESS`. The sum must
-#: reach `_SUM`, and the ratio of its density to the noise must reach `_TIMES`.
+#: A hump is the run of bins with the largest sum of standardised residuals, each less `_EXCESS`; least sum,
+#: and least ratio of its density to the noise.
 _EXCESS, _SUM, _TIMES = 0.5, 25.0, 3.0
 #: Least number of ordinates below the hump, and share of all above it.
 _BELOW, _ABOVE = 16.0, 0.05
 #: White noise must be this share of the density in the `_NEXT` bins on both sides: otherwise a filter is more
-#: likely. Next to a hump of `_STRONG` times the noise, which no filter makes, flicker may be as large.
+#: likely. Less is enough for a hump of `_STRONG` times the noise, which no filter makes.
 _WHITE, _WHITE_IF_STRONG, _STRONG, _NEXT = 0.6, 0.4, 10.0, 4
 #: A plateau of `_ABOVE_NOISE` times the noise over `_OCTAVES`, with no lower density below it, is white noise
 #: behind a filter. Its cells of `_CELL` octaves have at least `_COUNT` ordinates and may differ by `_EVEN` in
 #: addition to chance.
 _ABOVE_NOISE, _OCTAVES, _CELL, _COUNT, _EVEN = 1.3, 2.5, 0.5, 200, 0.12
-#: Factor that widens the interval: the bins next to the run may belong to it and be low by chance.
+#: Factor that widens the interval: the next bins may belong to it and be low by chance.
 _GUARD = 1.2
-#: Fits, and the fewest bins of one.
 _ROUNDS, _MIN_BINS = 10, 24
 
 
@@ -44,11 +42,9 @@ class Hump:
     times: float
 
     def outside(self, fraction: FloatArray) -> BoolArray:
-        """Return which frequencies, as fractions of Nyquist, are outside; shape of `fraction`."""
         return np.asarray((fraction < self.low) | (fraction > self.high))
 
     def wider(self) -> "Hump":
-        """Return the interval with some bins on both sides."""
         return replace(self, low=self.low / _GUARD, high=min(self.high * _GUARD, (1 + self.high) / 2))
 
 
@@ -122,7 +118,7 @@ def is_plateau(fraction: FloatArray, size: FloatArray, density: FloatArray, rati
 
 
 def largest_run(values: FloatArray) -> tuple[int, int, float]:
-    """Return the first and last index of the run with the largest sum, and the sum; values of shape (n,)."""
+    """Return the first and last index of the run with the largest sum, and the sum."""
     total = np.concatenate([[0.0], np.cumsum(values)])
     last = int(np.argmax(total - np.minimum.accumulate(total)))
     first = int(np.argmin(total[: last + 1]))

@@ -1,8 +1,7 @@
 """Spectral lines: detection, exclusion and likely causes.
 
 An ordinate whose square exceeds the local level by more than chance belongs to a line (a motor, mains, a
-clock). It is left out together with its neighbours, except the lowest ordinates, which contain random walk
-and drift.
+clock). It is left out together with its neighbours.
 """
 
 from collections.abc import Sequence
@@ -18,17 +17,16 @@ from imucal.frozen import frozen
 
 #: False alarm rate per record.
 _CHANCE = 0.01
-#: Number of lowest ordinates that are never left out (up to 24 periods per record are a cycle); half the
-#: number of bins for the local level.
+#: Number of lowest ordinates that are never left out, because they contain walk and drift; half the number of
+#: bins for the local level.
 _LOWEST, _NEIGHBOURS = 48, 8
-#: Degrees of freedom of a median per ordinate: 0.64 for many, 0.5 for single ones.
+#: Degrees of freedom of a median per ordinate, for single ones.
 _MEDIAN_EFFICIENCY = 0.5
 #: Median of the square of a standard normal.
 _MEDIAN = 0.4549
 #: Ordinates on each side that a line must exceed: number, and least share of the frequency.
 _NEAR, _NEAR_SHARE = 64, 1 / 800
-#: Largest number of lines subtracted as sines, ordinates on each side for a fit, largest remaining share of
-#: power.
+#: Largest number of lines subtracted as sines, ordinates on each side for a fit, largest remaining power.
 _MAX_SINES, _ABOUT, _REMAINS = 16, 200, 0.1
 #: A line's tail is left out down to this share of the level.
 _TAIL = 0.05
@@ -46,11 +44,9 @@ class Sine:
 
     @property
     def amplitude(self) -> float:
-        """Amplitude in the ordinates' unit."""
         return float(np.hypot(self.cosine, self.sine))
 
     def ordinates(self, n: int, count: int) -> FloatArray:
-        """Return its ordinates k = 1 … count in `n` samples."""
         theta = np.pi / n * np.arange(1, count + 1, dtype=np.float64)
         phase = float(np.arctan2(-self.sine, self.cosine))
         return self.amplitude * cycle_ordinates(n, theta, self.omega, phase)
@@ -106,7 +102,7 @@ def find_lines(
 
 def _limit(sureness: FloatArray, chance: float) -> FloatArray:
     """Return the ratio of a square to the local level that is exceeded with probability `chance`."""
-    # The level is an estimate: F has a far heavier tail than chi-squared if few ordinates determine it.
+    # The level is an estimate: F has a far heavier tail than chi-squared for few ordinates.
     return np.asarray(scipy.special.fdtri(1.0, sureness, 1.0 - chance))
 
 
@@ -115,7 +111,7 @@ def local_level(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the mean square around each bin, and the largest ratio of a square to it, shape (b,) each.
 
-    In a record without lines, any ordinate exceeds this ratio with probability `chance`.
+    An ordinate without lines exceeds this ratio with probability `chance` per record.
     """
     weight = np.ones(ordinates.size) if kept is None else kept.astype(np.float64)
     total = np.add.reduceat(np.square(ordinates) * weight, bins.first - 1)
@@ -133,7 +129,7 @@ def _totals_and_peaks(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArray,
 
 
 def _level(total: FloatArray, count: FloatArray, bins: DctBins) -> tuple[FloatArray, FloatArray]:
-    """Return the median of the neighbouring bins' mean squares and its degrees of freedom, for each bin."""
+    """Return the median of the neighbouring bins' mean squares and its degrees of freedom."""
     mean = np.log(np.maximum(total, 1e-300) / np.maximum(count, 1.0))
     known = np.flatnonzero(count > 0)
     mean = np.interp(np.arange(mean.size), known, mean[known])
@@ -147,11 +143,7 @@ def _level(total: FloatArray, count: FloatArray, bins: DctBins) -> tuple[FloatAr
 
 
 def _standing_out(square: FloatArray, found: IntArray) -> IntArray:
-    """Return the found ordinates that exceed their neighbours: an edge or peak of a filter is no line.
-
-    The level of 17 bins does not follow a steep filter; the level of the nearest ordinates does. Neighbours
-    are kept or removed together.
-    """
+    """Return the found ordinates that exceed their neighbours: an edge or peak of a filter is no line."""
     apart = np.maximum(_NEAR, _MAX_SKIP / 2 * found[1:])
     groups = np.split(found, np.flatnonzero(np.diff(found) > apart) + 1)
     kept = [near for near in groups if near.size and _is_line(square, near)]
@@ -161,8 +153,7 @@ def _standing_out(square: FloatArray, found: IntArray) -> IntArray:
 def _is_line(square: FloatArray, near: IntArray) -> bool:
     """Whether the highest of some ordinates exceeds its neighbours, or the neighbours of all.
 
-    At low frequencies bins are as narrow as the neighbourhood. A wandering line is as wide as all found
-    ordinates; a resonance is wider, and at an edge one side is as high.
+    A wandering line is as wide as all found ordinates; a resonance is wider.
     """
     top = int(near[np.argmax(square[near])])
     reach = max(_NEAR, int(_NEAR_SHARE * top))
@@ -182,7 +173,7 @@ def _exceeds(square: FloatArray, top: int, others: FloatArray) -> bool:
 
 
 def outside(first: IntArray, stop: IntArray, size: int) -> BoolArray:
-    """Return the mask of 0 … size-1 outside all spans from `first` to before `stop`, shape (s,) each."""
+    """Return the mask of 0 … size-1 outside all spans from `first` to before `stop`."""
     steps = np.zeros(size + 1, dtype=np.int64)
     np.add.at(steps, np.clip(first, 0, size), 1)
     np.add.at(steps, np.clip(stop, 0, size), -1)
@@ -196,10 +187,7 @@ def left_out(kept: BoolArray) -> tuple[IntArray, IntArray]:
 
 
 def without_strong_lines(ordinates: FloatArray, bins: DctBins) -> tuple[FloatArray, tuple[Sine, ...]]:
-    """Return the ordinates minus the steady sines whose tails are too wide to be left out, and the sines.
-
-    Each sine is fitted by least squares to the ordinates around it.
-    """
+    """Return the ordinates minus the steady sines whose tails are too wide to be left out, and the sines."""
     found: list[Sine] = []
     for _ in range(_MAX_SINES):
         total, peaks = _totals_and_peaks(ordinates, bins)
@@ -256,7 +244,7 @@ def with_sines(
     return tuple(sorted((*whole, *others), key=lambda line: -line.amplitude))
 
 
-#: Mains frequencies in Hz, number of harmonics, and largest relative error of the mains frequency.
+#: Mains frequencies in Hz, number of harmonics, and their largest relative error.
 _MAINS, _HARMONICS, _GRID_ERROR = (50.0, 60.0), 3, 4e-3
 
 

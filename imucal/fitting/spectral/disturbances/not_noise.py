@@ -23,7 +23,6 @@ from imucal.recording import AxisSeries
 from imucal.screening import amount
 from imucal.units import pretty
 
-#: Largest number of lines listed in a finding.
 _NAMED = 4
 #: False alarm rate of tones per record.
 _CHANCE = 1e-4
@@ -38,7 +37,7 @@ _ONE_SHIFT = 0.02
 def not_noise(series: AxisSeries, temperature: FloatArray | None = None) -> tuple[Finding, ...]:
     """Return findings about disturbances of an axis at rest; () if it is too short for a noise model.
 
-    Samples are finite, gaps are allowed; `temperature`, shape (n,), is in degrees Celsius at the samples.
+    Samples are finite, gaps are allowed; `temperature`, shape (n,), is in degrees Celsius.
     """
     try:
         blocks = make_blocks(series, temperature)
@@ -73,7 +72,7 @@ def find_shapes(
 
 
 def line_finding(lines: Sequence[Line], series: AxisSeries) -> tuple[Finding, ...]:
-    """Return the finding about the lines that a fit leaves out, the strongest first."""
+    """Return the finding about the lines that a fit leaves out."""
     if not lines:
         return ()
     named = ", ".join(
@@ -87,10 +86,7 @@ def line_finding(lines: Sequence[Line], series: AxisSeries) -> tuple[Finding, ..
 
 
 def tone_finding(blocks: SeriesBlocks, series: AxisSeries, *, fitted: bool) -> tuple[Finding, ...]:
-    """Return the finding about possible causes of lines: a warning if they are visible in the Allan curve.
-
-    If they are not and the fit leaves them out (`fitted`), `line_finding` is enough.
-    """
+    """Return the finding about possible causes of lines: a warning if they bend the Allan curve."""
     lines, hump = _sure_lines(blocks, series)
     visible = hump > _VISIBLE
     if not lines or (fitted and not visible):
@@ -159,7 +155,7 @@ def _roll_off_finding(band: Band, series: AxisSeries) -> tuple[Finding, ...]:
 def disturbance_findings(
     found: Sequence[Disturbance], series: AxisSeries, scale: float, *, fitted: bool
 ) -> tuple[Finding, ...]:
-    """Return a finding for each kind; `scale` is U per scaled unit, `fitted` if the fit removes them."""
+    """Return a finding for each kind; `scale` is U per scaled unit."""
     kinds = {kind: [one for one in found if one.kind == kind] for kind in _WORDS}
     return tuple(_WORDS[kind](own, series, scale, fitted=fitted) for kind, own in kinds.items() if own)
 
@@ -192,10 +188,7 @@ def _warm_up_finding(found: list[Disturbance], series: AxisSeries, _: float, *, 
 
 
 def _step_finding(found: list[Disturbance], series: AxisSeries, scale: float, *, fitted: bool) -> Finding:
-    """Report the jumps in order of time; the longest part without one is worth keeping.
-
-    Jumps in one direction shortly after each other are reported as one gradual shift.
-    """
+    """Report the jumps in order of time; jumps in one direction shortly after each other are one shift."""
     found = sorted(found, key=lambda one: one.value)
     times = [one.value * series.tau0 for one in found]
     shifts: list[tuple[float, float, float]] = []
@@ -229,7 +222,6 @@ def _cycle_finding(found: list[Disturbance], series: AxisSeries, scale: float, *
     return Finding("warning", "cycle", text, advice, axis=series.name)
 
 
-#: Kind of disturbance -> function that returns its finding, in order of the report.
 _WORDS = {
     "temperature": _temperature_finding,
     "warm-up": _warm_up_finding,

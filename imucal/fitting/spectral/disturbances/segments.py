@@ -1,8 +1,8 @@
 """The fitted model in each segment of a record, to test which terms change.
 
-Segments have equal duration and the whole record's scale, lines, drift, completed gaps, correlation times and
-output filter. A term is tested with free white noise, so that a change of the white noise is not attributed
-to the term. White noise is tested with a free common factor of all slower terms.
+Segments have equal duration and the whole record's scale, lines, drift, correlation times and output filter.
+A term is tested with free white noise, and white noise with a free common factor of all slower terms, so that
+a change of one is not attributed to the other.
 """
 
 import math
@@ -29,11 +29,10 @@ from imucal.noise.model import NoiseModel
 from imucal.noise.terms import term_keys
 from imucal.recording import AxisSeries
 
-#: Fewest samples of a segment, and of its parts between long gaps.
+#: Fewest samples of a segment, and of its parts.
 _MIN_SAMPLES, _MIN_PART_SAMPLES = 2048, 64
-#: Least number of segments for the tests.
 _MIN_SEGMENTS = 3
-#: Single bins and bins per octave: coarse, because the model's mean over a bin is exact.
+#: Single bins and bins per octave; the model's mean over a bin is exact.
 _SINGLES, _PER_OCTAVE = 16, 12
 #: Least number of ordinates to leave out on each side of a line.
 _REACH = 3
@@ -43,8 +42,7 @@ _REACH = 3
 class SegmentOrdinates:
     """The ordinates of all segments, one after the other, without regressors.
 
-    `first` is the index of each segment's first bin, `start_s` and `end_s` are from the first sample; shape
-    (s,).
+    `first` is the index of each segment's first bin; `start_s` and `end_s` are from the first sample.
     """
 
     ordinates: Ordinates
@@ -64,8 +62,7 @@ def segment_ordinates(
 ) -> SegmentOrdinates | None:
     """Return the ordinates of each segment of finite samples, or None if there are too few samples.
 
-    Segments with too few samples are left out. `drift` maps regressors to take out to their coefficients in
-    scaled units. `wanted` is the largest number of segments.
+    `drift` maps regressors to take out to their coefficients in scaled units.
     """
     count = number_of_segments(series.n, wanted)
     if not count:
@@ -119,7 +116,7 @@ def _piece(
         samples -= coefficient * regressor_samples(name, places, temperature)[before - start :]
     bins, loss = dct_bins(size, singles=_SINGLES, per_octave=_PER_OCTAVE), None
     if missing:
-        # Lost information: the block's at the same frequency, scaled by the part's gaps.
+        # The block's lost information at the same frequency, scaled by the part's gaps.
         whole = np.zeros(block.bins.size) if block.loss is None else block.loss
         share = missing / size * block.bins.n / block.drawn.size if block.drawn is not None else 0.0
         loss = np.clip(share * np.interp(bins.omega, block.bins.omega, whole), 0.0, 0.99)
@@ -139,8 +136,7 @@ def _between(samples: FloatArray, at: IntArray, drawn: FloatArray) -> FloatArray
 def _kept(block: Block, size: int) -> BoolArray | None:
     """Return the mask of a part's ordinates without the block's lines; None for all.
 
-    A line's tail falls off with the distance in ordinates, which are wider apart in a part: its reach is the
-    block's times the root of the ratio of lengths.
+    The reach of a line's tail in ordinates shrinks with the root of the length.
     """
     if block.kept is None:
         return None
@@ -153,7 +149,6 @@ def _kept(block: Block, size: int) -> BoolArray | None:
     return outside(low, high, size - 1)
 
 
-#: Longest averaging time of the floor, as a share of a segment.
 _PART = 0.25
 
 
@@ -170,8 +165,7 @@ def fit_segments(
 ) -> Segments | None:
     """Return the segments of a fit of finite samples, or None if there are too few samples.
 
-    `fitted` is the reported model, `model` the same in SI. The averaging time of the floor is its minimum on
-    the series' `curve`.
+    `fitted` is the reported model, `model` the same in SI.
     """
     names, beta = problem.ordinates.names, fitted.beta[0].tolist()
     drift = {name: value for name, value in zip(names, beta, strict=True) if value}
@@ -204,7 +198,7 @@ class _Tests:
         whole = np.delete(spectra, absent, axis=0).sum(axis=0)
         columns = fitted.variances(fitted.missing)
         self.names = list(columns)
-        # Free parameters: white noise in a term's test, a factor of all slower terms in white noise's.
+        # Free: white noise in a term's test, a factor of all slower terms in white noise's.
         n = COLUMN["N"]
         white, slower = (set(rows).difference(absent) for rows in ([n], range(n + 1, len(spectra))))
         others = [spectra[sorted(slower if at == n else white)].sum(axis=0) for at in columns.values()]
@@ -227,7 +221,7 @@ class _Tests:
         tests = []
         for row, name in enumerate(self.names):
             surplus = self.surplus(name)
-            # A log deviation has a quarter of the variance of the log of its square.
+            # A log deviation has a quarter of the variance of a log variance.
             logs, weight = self.free.logs[row, :, 0] / 2, 4 * self.free.information[row] / surplus
             if weight.min() > SURE**-2:
                 statistic = cochran_q(logs, weight)
@@ -239,15 +233,13 @@ class _Tests:
         return tuple(tests)
 
     def surplus(self, name: str) -> float:
-        """Return the factor by which heavy tails increase the variance of a log."""
         return self.problem.widening.get(name, 1.0) ** 2
 
     def traces(
         self, model: NoiseModel, curve: AllanCurve, series: AxisSeries
     ) -> tuple[Trace | None, Trace | None, float]:
-        """Return N and the floor of each segment, and the floor's averaging time."""
         length = float(np.min(self.segments.end_s - self.segments.start_s))
-        # Use the model's minimum: the curve's may be in its uncertain end.
+        # The curve's minimum may be in its uncertain end.
         lowest = curve.tau[int(np.argmin(model.avar(curve.m.astype(np.float64), rate_hz=series.rate_hz)))]
         tau = min(float(lowest), _PART * length)
         m = np.array([max(tau / series.tau0, 1.0)])
@@ -281,8 +273,7 @@ class _Tests:
     def _shape_error(self, row: int, shares: Mapping[str, float], slow: float) -> float:
         """Return the standard error of the log of the floor's square due to the ratios of the slow terms.
 
-        All segments use the whole record's ratios. If a ratio is wrong, the fitted scales are right at other
-        frequencies than the floor's.
+        If a ratio is wrong, the fitted scales are right at other frequencies than the floor's.
         """
         own = self.fitted.variances()
         keys = [key for key in shares if key in own]

@@ -22,49 +22,45 @@ from imucal.recording import AxisSeries
 #: A rich model, and the number of ordinates that contain slow shapes.
 _STRUCTURE = ("N", "B", "GM", "K", "R")
 _LOWEST = 4000
-#: Time constants of a warm-up, as parts of the record; the slowest is already a ramp and a parabola.
+#: Time constants of a warm-up, as parts of the record.
 _WARM_UPS = np.geomspace(0.01, 2.0, 12)
-#: Time constants around the best one, relative to it.
+#: Time constants around the best one.
 _NEAR_WARM_UPS = np.geomspace(1 / 1.5, 1.5, 9)
 #: Lags of a temperature, as parts of the record.
 _LAGS = np.geomspace(3e-4, 0.1, 16)
 #: Periods per record of cycles: fewer are drifts, more are lines.
 _MIN_PERIODS, _MAX_PERIODS = 2.0, 24.0
-#: Fewest periods per record of a slow cycle, which resembles a random walk.
+#: Fewest periods per record of a slow cycle.
 _MIN_SLOW_PERIODS = 0.7
-#: Number of ordinates for a slow cycle.
 _OF_SLOW = 128
-#: Spacing of the periods per record, in the search and around its peak.
+#: Spacing of the periods per record: of the search, and around its peak.
 _SPACING, _FINE = 0.25, 1 / 64
-#: Least gain of a shape beyond its price, in twice the log-likelihood.
+#: Least gain beyond the price, in twice the log-likelihood.
 _MARGIN = 7.0
-#: False alarm rate of steps in clean records of known spectrum.
 _CHANCE_STEP = 0.002
-#: Price of a cycle, independent of the rate. Of 500 clean records with a known spectrum one gains 21 by
-#: Baluev (2008), MNRAS 385, 1279; with a fitted one 23.
+#: Price of a cycle, independent of the rate. Source: Baluev (2008), MNRAS 385, 1279.
 _PRICE_CYCLE = 16.0
-#: Gain beyond its price from which a cycle is doubtful: 95 % of clean records gain less.
+#: Gain beyond its price from which a cycle is doubtful.
 _DOUBT = -0.5
 #: Price of a slow cycle, which a random walk often resembles, and of a warm-up.
 _PRICE_SLOW_CYCLE, _PRICE_WARM_UP = 20.0, 20.0
-#: Gain on the rich model from which a warm-up or slow cycle with N and B is as likely as a walk.
+#: Gain on the rich model from which a warm-up or slow cycle is as likely as a walk.
 _RIVAL_WARM_UP, _RIVAL_CYCLE = 5.0, 14.0
-#: Ratio of the spectra with and without walk below which the record shows none.
+#: Ratio of the spectra with and without a walk from which there is one.
 _NO_WALK = 2.0
-#: Logarithm of a variance that is zero.
+#: Logarithm of a zero variance.
 _ABSENT = -300.0
-#: Share of the best gain from which other shapes, which have a cause, are preferred to cycles.
+#: Share of the best gain from which shapes with a cause are preferred to cycles.
 _CAUSED = 0.9
-#: Steps nearer than the record's length over this are collinear in the lowest ordinates.
+#: Steps nearer than the record's length over this are collinear.
 _TELLABLE = 65536
-#: Least gain, at the spectrum without the shape, for a fit. Slow cycles and warm-ups need less, because this
+#: Least gain, at the spectrum without the shape, for a fit; less for slow cycles and warm-ups, because this
 #: spectrum contains their power.
 _WORTH_A_FIT, _SMOOTH_WORTH_A_FIT = 15.0, 9.0
-#: Largest number of shapes to take out.
 _MAX_SHAPES = 8
 
 
-#: Returns a step's exact place from its approximate one, other steps' places and the least distance.
+#: Returns a step's exact place from an approximate one, other steps' places and the least distance.
 ExactPlace = Callable[[float, Sequence[float], float], int]
 
 
@@ -72,8 +68,8 @@ ExactPlace = Callable[[float, Sequence[float], float], int]
 class Disturbance:
     """A shape in the samples that is not noise: ``temperature``, ``warm-up``, ``step`` or ``cycle``.
 
-    `names` are its regressors, and `size` their coefficients in scaled units, () if not fitted yet. `price`
-    is the gain in twice the log-likelihood that it needs in addition to a margin.
+    `names` are its regressors, and `size` their coefficients in scaled units. `price` is the gain that it
+    needs in addition to a margin.
     """
 
     kind: str
@@ -83,7 +79,6 @@ class Disturbance:
 
     @property
     def amplitude(self) -> float:
-        """Amplitude of all regressors together, in scaled units."""
         return float(np.linalg.norm(self.size))
 
     @property
@@ -97,8 +92,8 @@ def find_disturbances(
 ) -> tuple[tuple[Disturbance, ...], tuple[Disturbance, ...]]:
     """Return the shapes to take out in addition to the ramp, the strongest first; and the doubtful ones.
 
-    `exact` returns the exact place of a step before its fit: otherwise the next best shape would be a second
-    step that corrects the error of the first.
+    `exact` returns the exact place of a step: otherwise the next best shape would be a second step that
+    corrects the error of the first.
     """
     low = [block.lowest(max(_LOWEST // len(blocks), 64)) for block in blocks]
     length = blocks[-1].offset + blocks[-1].bins.n
@@ -134,9 +129,9 @@ def find_disturbances(
 def _taken_out(
     one: Disturbance, low: Sequence[Block], plain: Ordinates, names: tuple[str, ...]
 ) -> tuple[Disturbance, Fits]:
-    """Return a shape and the fit with it and the regressors `names`.
+    """Return a shape and the fit with it.
 
-    The spectrum without a warm-up contains its power, so its time constant is searched again with the fit's.
+    The spectrum without a warm-up contains its power, so its time constant is searched again.
     """
     base = _fits(low, [(*names, *one.names)])
     if one.kind != "warm-up":
@@ -198,10 +193,7 @@ def _warm_up(whitened: Whitened, length: int) -> tuple[float, Disturbance]:
 def _rival(
     low: Sequence[Block], plain: Ordinates, base: Fits, found: Sequence[Disturbance]
 ) -> tuple[Disturbance, ...]:
-    """Return the warm-up or slow cycle that explains a record as well as a random walk does, or ().
-
-    It gains little on a model with a walk, so it is compared with N and B alone against the rich model.
-    """
+    """Return the warm-up or slow cycle that explains a record as well as a random walk does, or ()."""
     theta, length = base.theta.copy(), low[-1].offset + low[-1].bins.n
     theta[:, [COLUMN["K"], SHAPED]] = _ABSENT
     still = replace(base, theta=theta).unfiltered(plain)
@@ -221,7 +213,6 @@ def _rival(
 def _step(
     whitened: Whitened, apart: float, found: Sequence[Disturbance], exact: ExactPlace | None
 ) -> Iterator[Disturbance]:
-    """Yield the best step at least `apart` from the others, if it may be worth a fit."""
     taken = [one.value for one in found if one.kind == "step"]
     place, gain, choice = whitened.step(taken, apart)
     if gain <= _WORTH_A_FIT:
@@ -232,7 +223,7 @@ def _step(
 
 
 def best_cycle(whitened: Whitened, length: int, *, slow: bool = False) -> tuple[float, Disturbance]:
-    """Return the gain and shape of the best cycle, or slow cycle, on a grid, its frequency refined."""
+    """Return the gain and shape of the best cycle, or slow cycle."""
     unit = 2 * np.pi / length
     fewest, most = (_MIN_SLOW_PERIODS, _MIN_PERIODS) if slow else (_MIN_PERIODS, _MAX_PERIODS)
     coarse = np.arange(fewest, most + _SPACING / 2, _SPACING)
@@ -249,16 +240,12 @@ def best_cycle(whitened: Whitened, length: int, *, slow: bool = False) -> tuple[
     )
 
 
-#: Accuracy of the search for a step's place, as a share of the record.
+#: Accuracy of the search, as a share of the record.
 _COARSE = 1 / 1000
 
 
 def exact_places(series: AxisSeries) -> ExactPlace:
-    """Return the function that moves a step to the sample that splits its surroundings best.
-
-    For two levels in white noise, the least-squares place maximises the weighted square of their difference.
-    The surroundings end at other steps.
-    """
+    """Return the function that moves a step to the sample that splits its surroundings best."""
 
     def exact(about: float, taken: Sequence[float], apart: float) -> int:
         clock = series.clock

@@ -1,7 +1,7 @@
 """The gain of regressors in the log-likelihood, without a fit of each.
 
-At a given spectrum, the log-likelihood that a regressor gains is half its squared correlation with the
-whitened ordinates, after both are made orthogonal to the fit's regressors.
+At a given spectrum it is half the squared correlation of a regressor with the whitened ordinates, after both
+are made orthogonal to the fit's regressors.
 """
 
 from collections.abc import Sequence
@@ -15,9 +15,8 @@ from imucal.fitting.spectral.blocks import Block
 from imucal.fitting.spectral.ordinates import cycle_ordinates
 from imucal.frozen import frozen_alone
 
-#: Number of places in a block to search for a step.
 _PLACES = 8192
-#: Ordinates that contain nearly all power of a cycle of 24 periods or of a warm-up.
+#: Ordinates that contain nearly all power of a smooth shape.
 _OF_SMOOTH = 512
 #: Share of a block at each end where a step resembles the block's mean.
 _CLEAR = 0.005
@@ -29,9 +28,8 @@ _COLLINEAR = 1e-6
 class Whitened:
     """The lowest ordinates of blocks, divided by the root of their spectrum, minus the fitted regressors.
 
-    `weight` is 1/sqrt(S) of each block's ordinates, 0 if they are left out, shapes (k,). `rest` are the
-    whitened ordinates of all blocks, shape (K,), and `base`, (K, r), an orthonormal basis of the whitened
-    regressors.
+    `weight` is 1/sqrt(S) of each block's ordinates, 0 if they are left out. `rest` are the whitened ordinates
+    of all blocks, shape (K,), and `base`, (K, r), an orthonormal basis of the whitened regressors.
     """
 
     blocks: tuple[Block, ...]
@@ -55,7 +53,6 @@ class Whitened:
         return replace(plain, rest=own - base @ (base.T @ own), base=base)
 
     def columns(self, names: Sequence[str]) -> FloatArray:
-        """Return whitened regressors, shape (K, r)."""
         pairs = list(zip(self.blocks, self.weight, strict=True))
         every = [np.concatenate([block.regressor(name) * w for block, w in pairs]) for name in names]
         return np.stack(every, axis=1) if every else np.zeros((self.rest.size, 0))
@@ -68,7 +65,7 @@ class Whitened:
         return float(self.rest @ (columns @ solution))
 
     def lowest(self, count: int = _OF_SMOOTH) -> "Whitened":
-        """Return the lowest ordinates, which contain nearly all of a smooth shape, with truncated basis."""
+        """Return the lowest ordinates, with truncated basis."""
         blocks = tuple(block.lowest(max(count // len(self.blocks), 1)) for block in self.blocks)
         sizes = [block.ordinates.size for block in self.blocks]
         starts = np.cumsum([0, *sizes[:-1]])
@@ -77,7 +74,7 @@ class Whitened:
         return Whitened(blocks=blocks, weight=weight, rest=self.rest[rows], base=self.base[rows])
 
     def gains_alone(self, names: Sequence[str]) -> FloatArray:
-        """Return the gain of each regressor alone, shape (r,)."""
+        """Return the gain of each regressor alone."""
         columns = self.columns(names)
         whole = np.sum(columns**2, axis=0)
         columns -= self.base @ (self.base.T @ columns)
@@ -87,7 +84,7 @@ class Whitened:
         )
 
     def cycles(self, omega: FloatArray) -> FloatArray:
-        """Return the gain of a cycle of each angular frequency, rad/sample, shape of `omega`."""
+        """Return the gain of a cycle of each angular frequency, rad/sample."""
         shapes, quarter = [], np.array([0.0, -np.pi / 2])[:, np.newaxis, np.newaxis]
         for block, own in zip(self.blocks, self.weight, strict=True):
             theta = np.pi / block.bins.n * np.arange(1, block.ordinates.size + 1, dtype=np.float64)
@@ -97,7 +94,6 @@ class Whitened:
         pairs -= (pairs @ self.base) @ self.base.T
         products = np.moveaxis(pairs @ self.rest, 0, -1)
         size, vectors = np.linalg.eigh(np.einsum("iwk,jwk->wij", pairs, pairs))
-        # Use the principal axes of each pair, without nearly empty ones.
         along = np.einsum("wij,wi->wj", vectors, products)
         independent = size > _COLLINEAR**2 * size[:, -1:]
         return np.asarray(
@@ -131,9 +127,9 @@ def _best_step(
 ) -> tuple[float, float, float]:
     """Return place and gain of the best step inside one block, and the number of places to choose among.
 
-    A step's ordinates are sines of its place, so sine transforms give the products of all places at once. The
-    number is the expected count of zero crossings of the root of the gain in pure noise, by Rice (1945), Bell
-    Syst. Tech. J. 24, 46: the length of the path of whitened steps of size one, over pi.
+    Sine transforms give the products of all places at once. The number is the expected count of zero
+    crossings in pure noise, by Rice (1945), Bell Syst. Tech. J. 24, 46: the length of the path of whitened
+    steps of size one, over pi.
     """
     n, count = block.bins.n, weight.size
     places = max(_PLACES, 2 * count)
@@ -165,7 +161,7 @@ def _best_step(
     for low, high in without:
         gain[(where > low) & (where < high)] = 0.0
     at = int(np.argmax(gain))
-    # Length of the path of the normalised steps: changes of size alone do not count.
+    # Changes of size alone do not count.
     way = slope / power - (np.gradient(power) / (2 * power)) ** 2
     choice = float(np.sqrt(np.maximum(way, 0.0))[clear : gain.size - clear].sum()) / np.pi
     return float(where[at]), float(gain[at]), choice
