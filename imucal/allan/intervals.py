@@ -69,7 +69,7 @@ _ROUNDS, _HALVINGS, _UPDATES = 100, 20, 20
 _CROSSOVER = 256
 #: A difference of two independent values has half the excess kurtosis of one value.
 _HALVED = 2.0
-#: Excess kurtosis of a uniform distribution.
+#: Excess kurtosis of a uniform distribution: the lower limit of the estimate.
 LIGHTEST = -1.2
 #: With fewer averages, the law of the previous averaging time is kept.
 _MIN_AVERAGES = 30

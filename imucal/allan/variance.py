@@ -58,6 +58,7 @@ _FAR, _FARTHEST, _MIN_INSIDE = 3e-4, 64, 1 << 18
 _LONG = 8 * _ROW
 #: Largest lag of the autocorrelation of losses, in mean gaps and in samples.
 _MEAN_GAPS, _LONGEST = 4, 256
+#: Places of the grid per FFT of the loss pattern.
 _CHUNK = 1 << 17
 #: Chunks that are enough to estimate the structure function.
 _ENOUGH = 16

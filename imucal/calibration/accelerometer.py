@@ -25,6 +25,7 @@ PARAMETERS = (
     *("scale_x", "misalignment_yx", "scale_y", "misalignment_zx", "misalignment_zy", "scale_z"),
     *("bias_x", "bias_y", "bias_z"),
 )
+#: Rows and columns of the lower triangle.
 LOWER = np.tril_indices(3)
 _DIAGONAL = np.array([True, False, True, False, False, True, True, True, True])
 

@@ -25,6 +25,7 @@ _WARMING_K, _WALK_SHARE = 2.0, 0.5
 _EARTH_SHARE = 1 / 3
 #: Factor from which a noise report belongs to another sensor or unit.
 _OTHER_NOISE = 3.0
+#: Most times listed.
 _LISTED = 4
 
 
@@ -146,6 +147,7 @@ def _place(facts: Facts) -> Iterator[Finding]:
         yield Finding("info", "earth-rate", text, "Give the latitude.", axis="gyro")
 
 
+#: Status of a parameter -> the finding about it.
 _STATUSES = {
     "not-observable": Finding("warning", "not-observable", "not observable"),
     "weak": Finding("warning", "weak", "weakly determined"),
@@ -184,6 +186,7 @@ def _are(names: list[str]) -> str:
     return "is" if len(names) == 1 else "are"
 
 
+#: Why a turn is not used -> the finding about such turns.
 _TURNS = {
     "wrong": Finding(
         "warning", "turn-wrong", "differ from the others", "Turn more slowly; look for lost samples."

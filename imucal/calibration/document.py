@@ -25,6 +25,7 @@ __all__ = [
     "to_document",
 ]
 
+#: Name and number of the layout, and of the file.
 SCHEMA, FILE_NAME = "imucal/calibration/1", "calibration.json"
 
 

@@ -225,4 +225,5 @@ def _parameters(target: CalibrationTarget, found: Intrinsics) -> dict[str, str]:
     return {name: format(Decimal(repr(float(value))), "f") for name, value in values.items()}
 
 
+#: Name of a program -> its target.
 CALIBRATION_TARGETS: dict[str, CalibrationTarget] = dict(_targets())

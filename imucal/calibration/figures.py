@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FIGURES", "picture"]
 
+#: In inches.
 _WIDTH, _HEIGHT, _HEAD, _FOOT = 10.0, 4.3, 0.8, 0.8
 #: Half-width of a 95 % interval in deviations.
 _Z95 = 1.959964
@@ -127,6 +128,7 @@ def turns_figure(found: Calibration) -> "Figure":
     return figure
 
 
+#: Name of a picture's file without ending -> function that draws it.
 FIGURES: dict[str, Callable[[Calibration], "Figure"]] = {
     "rests": rests_figure,
     "attitudes": attitudes_figure,

@@ -15,6 +15,7 @@ from imucal.report.page_parts import listed_findings
 
 __all__ = ["render_page"]
 
+#: Verdict -> the style of its line.
 _GRADES = {"good": "good", "look first": "look", "not usable": "not-noise"}
 _DESCRIPTIONS = {
     "rests": "Length of the specific force at each rest minus gravity, before and after the calibration.",

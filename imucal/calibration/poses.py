@@ -33,6 +33,7 @@ __all__ = [
 _WINDOW_S, _WINDOW_SAMPLES = 0.2, 8
 #: Length of the quietest stretch of an axis, in s; multiple of its variance that ends a rest.
 _STRETCH_S, _QUIET = 5.0, 6.0
+#: Minimum number of windows of a log.
 _MIN_WINDOWS = 10
 #: Limits for the mean rate and for a jump, in deviations.
 _OFF_LEVEL, _JUMP = 8.0, 8.0

@@ -117,6 +117,7 @@ class Calibration(Displayed):
         The noise of each sensor, and its origin.
     """
 
+    #: Module of the text and the table that notebooks show.
     drawn_by: ClassVar[str] = "imucal.calibration.table"
 
     source: Source

@@ -31,6 +31,7 @@ _UNITS = {
 _HALF, _NAME = 39, 16
 #: Columns for two blocks side by side.
 _WIDE = 80
+#: Statuses that the table shows.
 _LISTED = ("weak",)
 
 

@@ -38,6 +38,7 @@ _ABSURD, _FAR_BELOW_A_BOUND = 1e-3, 1e-5
 _NEAR, _NEAR_ON_PURPOSE, _ON_PURPOSE = 1.35, 1.1, 30.0
 #: People multiply by ten, which is nearly 9.81.
 _ON_HABIT = ", or made ten times as large on purpose"
+#: Largest difference of the natural logarithms of equal factors.
 _EQUAL = 1e-6
 _SAME_RATE = 0.01
 

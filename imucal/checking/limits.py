@@ -99,7 +99,7 @@ LOG_QUANTITIES = tuple(_LOG_UNITS)
 
 
 _ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.radians(1.0)}
-#: SI first.
+#: Units of limits of a calibration, SI first.
 CALIBRATION_UNITS: dict[Sensor, dict[str, dict[str, float]]] = {
     Sensor.GYROSCOPE: {
         "scale": {"": 1.0, "%": 0.01, "ppm": 1e-6},

@@ -86,6 +86,7 @@ def _value(estimate: Estimate) -> str:
 
 #: Smallest ratio of the noise's to the curve's variance at a used point.
 _MIN_NOISE_RATIO = 2 / 3
+#: Fewest points of a curve to fit.
 _MIN_POINTS = 4
 
 

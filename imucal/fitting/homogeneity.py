@@ -28,6 +28,7 @@ from imucal.recording import AxisSeries
 
 #: Largest and least number of windows, least number of samples of a window.
 _MAX_WINDOWS, _MIN_WINDOWS, _MIN_WINDOW_SAMPLES = 1024, 24, 128
+#: Steps squared at a time, to stay in the cache.
 _PART = 1 << 16
 #: Score of von Neumann's ratio from which the variance changes.
 _SCORE = 5.0
@@ -39,6 +40,7 @@ _PERIODIC = 0.5
 _NARROW = 0.8
 #: Lower limits below this share of the upper limit count as zero.
 NEGLIGIBLE = 0.02
+#: Units of time: upper limit and size in s, and name; hours beyond.
 _UNITS = ((120.0, 1.0, "s"), (7200.0, 60.0, "min"))
 #: Standard error of a log below which a single segment determines a term.
 SURE = 0.1

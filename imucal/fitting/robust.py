@@ -19,6 +19,7 @@ from imucal.units import pretty
 
 #: Samples in a block, whose median is a point of the baseline.
 _BLOCK = 100
+#: Blocks processed at a time, to stay in the cache.
 _BLOCKS = 512
 #: Deviations from the baseline that make a sample a possible spike.
 _MIN_SPIKE = 5.0

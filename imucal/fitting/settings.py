@@ -33,6 +33,7 @@ CRITERIA: dict[str, Callable[[float], float]] = {
     "aic": lambda _: 2.0,
 }
 
+#: Largest number of segments of a record.
 MAX_SEGMENTS = 64
 
 #: Weights of gmwm: full covariance, or the published diagonal.

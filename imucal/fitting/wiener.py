@@ -26,6 +26,7 @@ from imucal.noise.terms import Quantization, RateRandomWalk, term_keys
 
 #: Ordinates whose variances are computed at a time.
 _PART = 1 << 16
+#: Key of the sum of all components.
 BIAS = "bias"
 #: Terms that stay in the residual.
 _NOISE = frozenset({"Q", "N"})
@@ -33,6 +34,7 @@ _NOISE = frozenset({"Q", "N"})
 _DRAWN, _DRAWS = 2_000_000, (12, 200)
 #: Conjugate gradients stop at this fraction of the standard error, or fail after this many steps.
 _CLOSE, _STEPS = 1e-3, 5000
+#: Called with the numbers of samples done and in all.
 Progress: TypeAlias = Callable[[int, int], None]
 
 

@@ -36,7 +36,7 @@ from imucal.noise.model import NoiseModel, structure_text
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import Sensor
 
-#: Per term.
+#: False alarm rate of the test of equality, per term.
 CHANCE = 0.05
 #: Largest relative difference of equal sampling rates, and of equal corners of a filter.
 _SAME_RATE, _SAME_CORNER = 1e-3, 0.15

@@ -25,10 +25,11 @@ from imucal.fleet.posterior import TAILS, TWO_SIDED, NextLog, Posterior, UnitLik
 from imucal.fleet.values import LogValue, LogValues
 from imucal.frozen import frozen
 
+#: Minimum number of units for a spread.
 MIN_UNITS = 3
 #: False discovery rate of odd units.
 FALSE_SHARE = 0.05
-#: In percent of the logs.
+#: Percentage of bounded logs above which a finding is reported.
 _MANY_BOUNDS = 50.0
 #: Most units that are tested exactly, and the largest quick p-value that leads to an exact test.
 _SUSPECTS, _SUSPECT = 5, 0.2

@@ -25,6 +25,7 @@ from imucal.frozen import frozen
 
 #: Grid points of an imprecise unit's coefficient, of mu, of tau and of omega.
 _POINTS, _MUS, _TAUS, _OMEGAS = 301, 61, 48, 12
+#: Maximum number of times that a grid is narrowed.
 _ROUNDS = 6
 #: Extent of the grids, in the logarithm; a coefficient 50 times smaller is invisible.
 _DEEPEST = 4.0
@@ -34,14 +35,15 @@ _USUAL, _WIDEST = 0.5, 2.0
 _RARE, _LITTLE = 1e-3, 1e-4
 #: Log-posterior below its peak at which points are ignored.
 _NOTHING = 16.0
-#: They keep logarithms and exponentials finite.
+#: Limits that keep logarithms of small probabilities and exponentials finite.
 _TINY, _LARGEST = math.exp(-690), 600.0
 #: Points of the predictive distributions; smaller weights of the posterior are ignored.
 _GRID, _UNLIKELY = 801, 1e-7
 #: Shares by which widths and centres of merged normal distributions may differ.
 _SAME_NORMAL, _SAME_CENTRE = 0.02, 0.2
-#: In standard deviations.
+#: Extent of the distribution of the next log, in standard deviations.
 _FARTHEST = 6.0
+#: Points of the predictive distribution with which an imprecise unit is compared.
 _DRAWS = 4000
 #: Multiples of the golden ratio modulo 1 fill the unit interval evenly and look random.
 _GOLDEN = (math.sqrt(5) - 1) / 2

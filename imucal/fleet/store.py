@@ -25,6 +25,7 @@ from imucal.errors import ReadError, StoreError, WriteError
 STATUSES = ("ok", "unreadable", "no-data", "memory", "timeout", "crash")
 
 _TEXT, _REAL, _COUNT = pl.String(), pl.Float64(), pl.Int64()
+#: Labels of a log, from the manifest or its path.
 LABELS = {"model": _TEXT, "unit": _TEXT, "temperature_c": _REAL, "started": _TEXT}
 #: One row per requested log; free columns of text may follow.
 MANIFEST = {"path": _TEXT, **LABELS, "options": _TEXT, "copy_of": _TEXT}
@@ -40,12 +41,14 @@ LOGS = {
     **dict.fromkeys(("cpu_s", "wall_s", "finished"), _REAL),
     **dict.fromkeys(("report", "version"), _TEXT),
 }
+#: Stored fields of an `imucal.LogValue`.
 OF_VALUE = ("value", "low", "high", "variance", "variance_sd", "variance_growth", "level", "correlation_time")
 #: One row per log, axis and term; in SI.
 RESULTS = {
     **dict.fromkeys(("key", "sensor", "axis", "term", "unit_si"), _TEXT),
     **dict.fromkeys(OF_VALUE, _REAL),
 }
+#: One row per log and axis: its binned spectrum.
 BINS = {"key": _TEXT, "sensor": _TEXT, "axis": _TEXT, "bins": pl.Binary()}
 #: Statistics of other rows (JSON); the key is a checksum of these rows.
 DERIVED = {"key": _TEXT, "value": _TEXT}

@@ -16,6 +16,7 @@ import scipy
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.frozen import frozen
 
+#: Growth below which a deviation is constant.
 _NO_GROWTH = 1e-4
 #: A small square, relative to its deviation.
 _SMALL = 1e-3
@@ -23,6 +24,7 @@ _SMALL = 1e-3
 _LARGEST = 50.0
 #: Largest standard errors of the logarithm, of an estimate and of a square, that are treated as normal.
 _NARROW, _NARROW_SQUARE = 0.3, 0.1
+#: Numbers of a `LogValue` in `LogValues`.
 _NUMBERS = attrgetter("value", "low", "high", "level", "variance", "variance_sd", "variance_growth")
 
 

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 TermKey: TypeAlias = tuple[str, str, str, str]
+#: Largest relative difference of equal sampling rates.
 _SAME_RATE = 1e-3
 _LEVEL = 0.95
 #: Logs whose bins are in memory at a time, 18 kB each.

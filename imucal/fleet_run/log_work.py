@@ -23,7 +23,7 @@ from imucal.remote import is_url
 from imucal.remote.stores import identify
 from imucal.resources import MEMORY, POOLS, THREADS
 
-#: Another log may end a process.
+#: Another log may be the cause of a process's end.
 _ATTEMPTS = 2
 #: Printed by Rust and C++ if an allocation fails.
 _NO_MEMORY = ("memory allocation of", "bad_alloc", "out of memory", "Cannot allocate memory")
@@ -32,6 +32,7 @@ _SHARE = 4
 #: Clocks that start with the sensor begin in 1970, so earlier stamps are no dates.
 _FIRST_DATE_NS = 946_684_800 * 10**9
 
+#: A row of the table of logs, with its rows of the tables ``results`` and ``bins``.
 LogRow: TypeAlias = dict[str, Any]
 
 

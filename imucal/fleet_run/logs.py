@@ -29,6 +29,7 @@ _PACKED = ("", ".gz", ".bz2", ".xz", ".zst", ".zstd", ".zip", ".lz4")
 _ENDINGS = tuple(
     ending + packed for form in FORMATS for ending in {*form.suffixes} - {*_VAGUE} for packed in _PACKED
 )
+#: Bytes at each end of a file in its edge checksum.
 _EDGE = 1 << 16
 #: Block size in bytes. The checksum of a log depends on it.
 _BLOCK = 1 << 20

@@ -25,6 +25,7 @@ CONNECT_S, WORKERS_S, CLOSE_S = 20.0, 120.0, 10.0
 SILENCE_S = 30.0
 #: Batches per worker: one in progress, the others on their way.
 WINDOW = 3
+#: Seconds between checks of time limits and of the connection.
 _LOOK_S = 1.0
 _NOISY = ("distributed", "tornado", "asyncio")
 _TIMES = {

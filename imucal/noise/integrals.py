@@ -53,6 +53,7 @@ def _function_of_points(
     return (lambda at: np.exp(np.interp(np.log(at), x, y))), f
 
 
+#: Maximum number of octaves in a tail.
 _FURTHEST = 448
 #: Ratio of neighbouring octaves from which a tail diverges.
 _DIVERGENT = 1 - 1e-6

@@ -36,7 +36,7 @@ from imucal.units import G0
 TIMES_S, REST_S = (1.0, 10.0, 60.0, 300.0), 60.0
 #: Least length of a record that shows a drift, in lengths of rest plus coast.
 STRETCHES = 5
-#: Largest ratio of rest and coast.
+#: Largest ratio of rest and coast: the shorter one then has a dozen blocks.
 _MAX_RATIO = 2e4
 #: Relative tolerance of g at rest; cosine of the largest tilt of a vertical axis.
 _NEAR_G, _UPRIGHT = 0.1, 0.94

@@ -47,6 +47,7 @@ _SMALLEST = 1e-12
 _RAMP = 1.5
 #: Share of the other's deviation in place of zero, which programs refuse.
 _NOTHING = 1e-3
+#: Samples per step of the bias's process.
 _FINE = 64
 #: Relative tolerance, because averaging times are whole samples.
 _ROUNDING = 0.01

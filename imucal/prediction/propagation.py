@@ -55,6 +55,7 @@ class Caution(NamedTuple):
         return cls(normal.inv_cdf((1 + level) / 2) / whole, normal.inv_cdf(level) / whole)
 
 
+#: The limits themselves.
 LIMITS = Caution(1.0, 1.0)
 #: Mean of a half-normal deviate divided by its 95 % quantile.
 MEAN = Caution(math.sqrt(2 / math.pi) / NormalDist().inv_cdf(0.975), 0.0)

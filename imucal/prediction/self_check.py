@@ -29,7 +29,7 @@ from imucal.frozen import frozen
 from imucal.noise.terms import TERMS
 from imucal.recording import AxisSeries
 
-#: Compared averaging times, in s.
+#: Averaging times at which the halves are compared, in s.
 TIMES_S = (10.0, 30.0, 100.0, 300.0)
 #: Least length of a half, in averaging times.
 _LONGER = 12.0

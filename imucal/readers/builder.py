@@ -21,9 +21,11 @@ from imucal.units import SAMPLE_UNITS
 class RecordingBuilder:
     """Collects the parts of a recording; sensors stay in the order added."""
 
+    #: Path as given, and format.
     path: str
     format: str
     options: ReadOptions = field(default_factory=ReadOptions)
+    #: Declared in the log, in Hz.
     rate_hz: float | None = None
     decisions: list[tuple[str, str]] = field(default_factory=list)
     #: `build` removes duplicates.

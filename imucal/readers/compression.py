@@ -26,8 +26,10 @@ __all__ = [
 
 #: Smaller sizes, in bytes, are not checked.
 _SMALL = 1 << 26
+#: Largest ratio of larger sizes.
 _MAX_RATIO = 400
 
+#: Signature of an lz4 frame.
 _LZ4 = b"\x04\x22\x4d\x18"
 
 #: Compression names; MCAP writes "" and ROS bags write "none".

@@ -28,6 +28,7 @@ from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.dialects import Dialect
 from imucal.recording import AXES, Recording
 
+#: Signatures of a ULog, and of a record of a dataflash log.
 ULOG, DATAFLASH = b"ULog\x01\x12\x35", b"\xa3\x95"
 
 #: Field -> values, shape (n,) each.
@@ -35,7 +36,7 @@ Fields: TypeAlias = Mapping[str, NDArray[Any]]
 
 #: Slower instances are health checks, not recordings.
 _MIN_RATE_SHARE = 0.2
-#: In µs; later stamps are damaged.
+#: Later stamps are damaged: about 140 years, in microseconds.
 _MAX_STAMP_US = 1 << 52
 #: Bytes of an unfinished page at the end, which is no damage.
 _MAX_PAGE_BYTES = 528

@@ -28,6 +28,7 @@ from imucal.recording import Sensor
 from imucal.resources import column_limit
 
 HEADER = "header stamp"
+#: The time of recording, which is not a column.
 LOG = TimeChoice(kind="ns", indices=(), name=LOG_TIME)
 
 

@@ -17,8 +17,9 @@ from imucal.readers.tables.text_table import read_many
 from imucal.recording import AxisSeries, Recording, Temperature, span_ns
 from imucal.resources import column_limit
 
+#: Longest pause between two parts, in s.
 _MAX_PAUSE_S = 10.0
-#: In samples, or in s.
+#: Largest overlap of two parts: in samples, or in s.
 _SAMPLES_OVER, _TIME_OVER = 10, 0.1
 #: File extensions, and the number that log rotation appends.
 _ENDINGS = re.compile(
@@ -28,6 +29,7 @@ _ENDINGS = re.compile(
 #: Names of devices: unit1, imu2, sensor3. Parts of a recording are imu_0, imu_1.
 _DEVICE = re.compile(r"(?<![a-z])(?:(?:unit|device|dev|board|serial|sn)[\W_]*|imu|sensor|gyro)\d+$")
 
+#: Largest relative difference of the rates of two parts.
 _SAME_RATE = 0.01
 _MAX_LISTED = 12
 #: Earlier stamps (before 1980), in ns, count from power-on.

@@ -22,6 +22,7 @@ T = TypeVar("T", bound=np.generic)
 _SHARE = 16
 #: Bytes written before their pages are released.
 _FLUSH = 1 << 25
+#: Initial capacity of a growing column.
 _FIRST = 1 << 16
 
 

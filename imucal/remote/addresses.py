@@ -27,7 +27,7 @@ OBJECT_STORES = {
     "abfs": ("abfs", "adlfs", "azure"),
     "abfss": ("abfs", "adlfs", "azure"),
 }
-#: In bytes, for common file systems.
+#: Longest file name on common file systems, in bytes.
 _MAX_NAME_BYTES = 200
 _GLOB = frozenset("*?[")
 
@@ -109,7 +109,7 @@ def without_secrets(text: str, url: str) -> str:
 class RemoteFile:
     """One object of a store."""
 
-    #: A secret if it is signed.
+    #: With its query, which may be a secret.
     url: str = field(repr=False)
     #: Or the time of the last change; empty if unknown.
     etag: str
@@ -135,7 +135,9 @@ class RemoteLog:
     #: A secret if it is signed; print `shown` instead.
     url: str = field(repr=False)
     files: tuple[RemoteFile, ...]
+    #: Whether it is a folder, perhaps of one file.
     folder: bool = False
+    #: Whether the copy stays in the cache after use.
     keep: bool = True
 
     @property
@@ -177,6 +179,7 @@ Result = TypeVar("Result")
 WAITS = (0.5, 1.0, 2.0)
 _RETRIED_HERE = WEB | {"s3", "s3a"}
 TIMEOUT = "IMUCAL_REMOTE_TIMEOUT"
+#: Default timeout in s.
 _DEFAULT_TIMEOUT_S = 30.0
 
 #: Names, because the libraries may not be installed; the first match is used.

@@ -61,7 +61,7 @@ def locked(path: Path, *, shared: bool = False, wait: bool = True) -> Iterator[b
 
 
 FOLDER, SIZE = "IMUCAL_CACHE", "IMUCAL_CACHE_SIZE"
-#: In bytes.
+#: Default size in bytes.
 _DEFAULT_SIZE = 10 << 30
 #: Bytes left free.
 _MARGIN = 1 << 24
@@ -196,7 +196,7 @@ class LocalCopy:
     """The copy of a remote log."""
 
     log: RemoteLog
-    #: Valid inside the ``with`` block.
+    #: File, or folder of a bag; valid inside the ``with`` block.
     path: Path
     files: tuple[Path, ...]
 

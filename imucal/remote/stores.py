@@ -58,11 +58,12 @@ def store_of(url: str) -> "Store":
     return ObjectStore(url)
 
 
+#: HTTP codes of temporary failures.
 _PASSING = frozenset({408, 425, 429, 500, 502, 503, 504})
 #: In bytes; enough to recognise a web page.
 _HEAD = 512
 _BLOCK = 1 << 20
-#: Largest listing, in bytes.
+#: Largest listing of a folder, in bytes.
 _PAGE = 1 << 24
 _PAGE_STARTS = (b"<!doctype html", b"<html")
 _RANGE = re.compile(r"bytes (?:\d+-\d+|\*)/(\d+)")
@@ -227,7 +228,7 @@ def _links(folder: str) -> list[str]:
     return sorted(found)
 
 
-#: Bytes per request.
+#: Bytes per request of a download.
 _PART = 1 << 24
 
 

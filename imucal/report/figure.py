@@ -229,7 +229,7 @@ def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str,
             figure.text(x, y, text, **style)
 
 
-#: The best first.
+#: Media types, the best first.
 _SHOWN_BY_PAGES = {"png": "image/png", "svg": "image/svg+xml"}
 
 

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 _TOP, _PART, _SPACE, _HEAD, _FOOT = 3.4, 1.3, 0.36, 0.74, 0.78
 _LEFT, _RIGHT = 0.095, 0.985
 _POINTS, _AVERAGES = 1500, 1000
-#: In standard errors.
+#: Half the width of the band, in standard errors.
 _BAND = 2.0
 
 
@@ -163,7 +163,9 @@ def _style(axes: "Axes", view: _View, label: str, drawn: list[FloatArray]) -> No
     axes.yaxis.set_label_coords(-0.06, 0.5)
 
 
+#: The document marks the folder of a decomposition.
 SCHEMA, DOCUMENT = "imucal/decomposition/1", "decomposition.json"
+#: Largest number of rows of a table by default.
 _ROWS = 10_000
 
 

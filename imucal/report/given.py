@@ -18,7 +18,7 @@ from imucal.recording import Axis, Sensor, Source
 from imucal.report.result import AxisReport, Overview, Report
 
 GIVEN = "given"
-#: Assumed length of the record.
+#: Assumed length of the record, in s.
 _RECORD_S = 3 * 3600.0
 
 

@@ -30,6 +30,7 @@ from imucal.report.numbers import SheetUnits
 from imucal.report.result import AxisReport, Overview, Report
 from imucal.units import duration, pretty
 
+#: Points of a smooth line.
 _FINE = 60
 #: As a fraction of the recording: closer gaps are drawn as one.
 _MERGED = 1 / 500

@@ -21,6 +21,7 @@ from imucal.units import DATASHEET_UNITS, DatasheetUnit, pretty
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 #: At a larger ratio of the sides, the interval is printed instead of a symmetric uncertainty.
 _ASYMMETRY = 1.25
+#: Longer numbers are written with an exponent.
 _LONGEST = 10
 #: Smaller drifts are printed in thousandths.
 _SMALL = 0.1

@@ -31,6 +31,7 @@ from imucal.report.view import View, views
 from imucal.units import DatasheetUnit, duration, pretty
 
 _Row: TypeAlias = tuple[str, list[str]]
+#: Findings are grouped by level, code, advice and the part of the log to keep.
 _Kind: TypeAlias = tuple[str, str, str, tuple[float, float] | None]
 _HEADINGS = {"error": "Errors", "warning": "Warnings", "info": "Notes"}
 _NOTHING = "–"

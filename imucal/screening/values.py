@@ -21,11 +21,11 @@ _MIN_AT_LIMIT, _LIMIT_RATIO = 8, 5.0
 _MIN_STEPS = 4.0
 #: Fraction of samples that are not finite from which they are a warning.
 _MANY = 1e-3
-#: Least reported fraction of repeated samples.
+#: Repeated samples below this fraction are not reported.
 _MIN_REPEATS = 0.005
 #: Noise, in LSB, below which LSB^2/12 cannot correct N.
 _COARSE = 0.5
-#: Correlation that only duplicated columns have.
+#: White noise of two axes never has this correlation; a duplicated column does.
 _COPY = 0.999
 #: Minimum number of samples for a comparison.
 _MIN_SAMPLES = 64
@@ -375,7 +375,7 @@ def check_rate(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-#: Reported change of temperature, in degrees.
+#: Change of temperature that is reported, in degrees.
 _LARGE_CHANGE = 3.0
 
 

@@ -20,7 +20,7 @@ from imucal.units import G0
 
 #: Length of a window, in s: long compared with a knock's ringing.
 _LENGTH_S = 0.5
-#: Minimum samples of a window.
+#: Minimum samples of a window: its variance then has 15 degrees of freedom.
 _MIN_SAMPLES = 16
 #: Number of windows wanted from a short log.
 _USUAL_WINDOWS = 64
@@ -135,7 +135,7 @@ def _statistics(samples: FloatArray, starts: IntArray, width: int) -> FloatArray
 _FALSE_ALARM = 1e-4
 #: Factor on a limit, because real noise varies with temperature.
 _MARGIN = 1.25
-#: Robust deviations that a spike exceeds.
+#: A spike exceeds this many robust deviations and is at most two samples long.
 _SPIKE = 5 * 1.4826
 #: Fraction of a window above which outliers are no spikes.
 _MAX_SPIKES = 0.15

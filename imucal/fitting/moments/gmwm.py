@@ -24,6 +24,7 @@ from imucal.fitting.settings import FitSettings
 from imucal.noise.model import structure_text
 from imucal.recording import AxisSeries
 
+#: Models within this distance of the best criterion are reported.
 _REPORTED = 6.0
 
 

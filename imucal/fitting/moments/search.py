@@ -42,6 +42,7 @@ _STEP = 1e-4
 #: Misfit above which the shortest averaging times are dropped, least ratio by which this must reduce it, and
 #: largest number of octaves.
 _FILTERED, _CURE, _MAX_DROPPED_OCTAVES = 5.0, 3.0, 8
+#: Largest number of updates of the weight; three are usually enough.
 _UPDATES = 5
 
 

@@ -23,6 +23,7 @@ from imucal.frozen import frozen_alone
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import AxisSeries
 
+#: Slope of the Allan deviation of each term that can be read.
 SLOPES = {symbol: term.slope for symbol, term in TERMS.items() if term.slope is not None}
 #: Largest difference of a run's slope from a term's.
 _TOLERANCE = 0.15
@@ -30,6 +31,7 @@ _TOLERANCE = 0.15
 _SHARP = 0.125
 #: Minimum number of points of a line.
 MIN_POINTS = 3
+#: Minimum degrees of freedom of the points of a line.
 _MIN_EDF = 3.0
 #: Points within this factor of the lowest point are the floor.
 _FLOOR = 1.05

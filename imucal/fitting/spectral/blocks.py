@@ -25,11 +25,13 @@ from imucal.recording import AxisSeries
 
 #: Ratio of second to first differences below which there is no noise.
 _STRAIGHT = 1e-9
+#: Fewest samples of a record and of a block.
 _MIN_SAMPLES = 64
 #: Longest gap to complete; longer ones separate blocks.
 _LONG = 64
 #: Largest number of blocks; with more long gaps, shorter ones are completed too.
 _MAX_BLOCKS = 48
+#: Samples processed at a time, to stay in the cache.
 _PART = 1 << 16
 #: Largest number of blocks with bins as fine as without gaps.
 _FINE = 4
@@ -246,6 +248,7 @@ def _gap_findings(series: AxisSeries, runs: list[Run], lost: int) -> tuple[Findi
     return (Finding("warning", "gaps-in-fit", text, advice, axis=series.name),)
 
 
+#: Fields of the ordinates that a result keeps.
 _KEPT = ("size", "power", "names", "cross", "gram")
 #: Square of the relative rounding error of a transform.
 _ROUNDING = 1e-28

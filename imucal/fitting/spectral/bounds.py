@@ -124,6 +124,7 @@ _WALK = 1 / 20
 #: Terms whose lower limit is only lowered by a model of weight below 1. B is not among them: a Gauss-Markov
 #: term of some seconds next to a walk resembles flicker.
 _LOWERED = frozenset({"K"})
+#: Largest number of models that are completed.
 _MAX_COMPLETED = 16
 
 

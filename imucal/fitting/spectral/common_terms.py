@@ -22,8 +22,9 @@ from imucal.frozen import frozen_alone
 _INVISIBLE = -30.0
 #: Starting value of an absent part, as a share of the spectrum.
 _SHARE = 0.1
+#: Longest step of a log, and largest number of steps.
 _STEP, _STEPS = 1.5, 100
-#: Gain that ends the search.
+#: Gain of the log-likelihood that ends the search.
 _CLOSE = 1e-5
 #: Scan of scale 2: the first end in its deviations, the number of ends, grid points between the ends, and
 #: scoring steps of scale 1 at each.

@@ -23,6 +23,7 @@ from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
 from imucal.frozen import frozen_alone
 from imucal.noise.terms import ALWAYS, TERMS
 
+#: Added to the diagonal of the regressors' correlation.
 _RIDGE = 1e-10
 #: Elements of an array such that a dozen arrays fit in the cache.
 _CACHED = 16384

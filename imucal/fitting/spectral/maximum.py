@@ -170,13 +170,14 @@ def _residuals(ordinates: Ordinates, found: Fits) -> tuple[IntArray, FloatArray,
     return first, size, residual
 
 
+#: Number of correlation times in the dictionary.
 _GRID = 16
 #: Rounds of updates, number of best mixtures of each model, and exponent.
 _EVERY = 1_000_000
 _THOROUGH, _QUICK = ((25, _EVERY, 0.5), (25, 40, 0.5)), ((6, _EVERY, 1.0), (19, 16, 1.0))
 #: Rows at a time: few enough for the cache and for a single thread.
 _ROWS = 96
-#: Keeps logarithms and inverses finite.
+#: Keeps logarithms and squares of inverses finite.
 _TINY = 1e-140
 
 

@@ -29,6 +29,7 @@ LAWS = tuple(PowerLaw)
 SHAPED = len(LAWS)
 #: Starting values use at most the bins of this many blocks.
 _FEW_BLOCKS = 2
+#: Fields of `Ordinates` with the bins along the last axis.
 _BINNED = ("size", "power", "lam", "length", "sign", "basis", "cross", "gram")
 
 

@@ -18,7 +18,9 @@ from imucal.noise.model import structure_text
 #: Distance from the best on coarse bins of models that are fitted on all bins; larger behind an output
 #: filter, whose response adapts only then.
 _REFINED_WITHIN, _REFINED_BEHIND = 25.0, 120.0
+#: Largest number of models fitted on all bins.
 _MAX_REFINED = 16
+#: Models whose criterion is within this of the best are listed.
 _LISTED_WITHIN = 6.0
 #: Distance in twice the log-likelihood of an equally good second maximum.
 _AS_GOOD = 4.0

@@ -9,7 +9,9 @@ import numpy as np
 from imucal.arrays import BoolArray, FloatArray, IntArray, median, percentile
 from imucal.frozen import frozen
 
+#: Most windows; fewest and most samples in each.
 _MAX_WINDOWS, _MIN_SAMPLES, _MAX_SAMPLES = 400, 32, 512
+#: Fewest windows of a part, and least share of them.
 _MIN_WINDOWS, _MIN_SHARE = 8, 0.04
 #: Of two rates, and of their short steps.
 _MIN_RATIO, _MIN_SHORT_RATIO = 1.4, 1.3

@@ -27,6 +27,7 @@ from imucal.recording import gap_findings
 
 LOG_TIME = "log time"
 
+#: Share of zero stamps above which log time is used.
 _MAX_ZEROS = 0.01
 #: One day in ns: a longer jump forward means that the clock was set.
 _DAY = 86_400 * 10**9

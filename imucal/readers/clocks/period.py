@@ -16,13 +16,15 @@ from imucal.errors import ChoiceError
 from imucal.frozen import frozen
 from imucal.readers.store import Room
 
-#: Shorter logs are examined completely.
+#: Number of runs examined, and samples in each; shorter logs are examined completely.
 _RUNS, _RUN = 10, 4096
 #: Plausible rates of IMUs, in Hz.
 RATES = (1.0, 20_000.0)
+#: Relative difference of equal slopes.
 _SAME = 0.03
 #: In steps: much longer than batches of up to 128 samples.
 _WINDOW = 512
+#: Most batches between the anchors of a slope.
 _MAX_BATCHES = 64
 #: Of a buffer: longest batch in samples, and longest step within it in ns.
 _MAX_BURST, _MAX_BURST_STEP = 512, 2_000_000
@@ -42,7 +44,9 @@ _MAX_NOMINAL_LOSS = 0.1
 _MAX_MISSING = 0.55
 #: Limits of cycles of losses: samples, cycles, losses per sample, and two relative tolerances.
 _MAX_CYCLE, _MIN_CYCLES, _MAX_LOSS, _LOOSE, _WHOLE = 128, 16, 0.6, 0.2, 0.08
+#: Relative difference of equal periods of a clock with coarse ticks.
 _EXACT = 1e-3
+#: Stamps per piece when ticks are removed.
 _LOOK = 4096
 REACH = 1 << 13
 #: In samples; it fits the processor's cache.
@@ -53,17 +57,17 @@ BLOCK = 1 << 16
 class Period:
     """A first estimate of the sampling period, with the explanation of the stamps."""
 
-    #: Within about 1 %.
+    #: Period in ns, within about 1 %.
     tau_ns: float
     #: Standard deviation of a stamp about its neighbours, in samples.
     jitter: float = 0.0
-    #: Greatest common divisor of the steps.
+    #: Greatest common divisor of the steps, in ns.
     resolution_ns: int = 1
     burst: int = 1
     #: Whether a batch is anchored at its last stamp, and at its last sample (otherwise the first).
     last_stamp: bool = True
     last_place: bool = True
-    #: Longest step within a batch.
+    #: Longest step within a batch, in ns.
     pause_ns: float = 0.0
     #: Median step in ns; regular if most steps are within 5 % of it.
     usual_ns: float = 0.0

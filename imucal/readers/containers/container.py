@@ -36,6 +36,7 @@ class Batch:
     starts: IntArray
     sizes: IntArray
     log_ns: IntArray
+    #: Damage found by the container.
     loss: Loss | None = None
 
     @property
@@ -78,6 +79,7 @@ class Channel:
     key: int
     topic: str
     type: str
+    #: ``cdr``, ``ros1``, ``json`` or another name in the log.
     encoding: str
     #: Text of the message definition, or empty.
     definition: str = ""
@@ -94,8 +96,9 @@ class Channel:
 class Task(NamedTuple):
     """A part of a file, loaded by one thread."""
 
-    #: In bytes, for progress.
+    #: Bytes of the file, for progress.
     size: int
+    #: Wanted channels with messages in it.
     keys: frozenset[int]
     #: Yields the messages of each channel; raises DamagedError if the part can't be read.
     load: Callable[[], Iterable[tuple[int, Batch]]]
@@ -110,7 +113,7 @@ class Container(ABC):
     size: int
     channels: list[Channel]
     findings: list[Finding]
-    #: In ns; None if unknown.
+    #: First and last time of any message, in ns; None if unknown.
     start_ns: int | None = None
     end_ns: int | None = None
     parallel: bool = True

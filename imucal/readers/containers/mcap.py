@@ -32,7 +32,7 @@ HEAD = struct.Struct("<BQ")
 #: Channel and log time of a Message record; the payload starts after `_PAYLOAD` bytes.
 _MESSAGE = struct.Struct("<9xH4xq")
 _PAYLOAD = 31
-#: Opcode, length, channel, bytes of entries.
+#: MessageIndex record: opcode, length, channel, bytes of entries.
 _INDEX = struct.Struct("<BQHI")
 #: Content size, CRC, length of the compression's name, which follows.
 _CHUNK = struct.Struct("<9x16xQII")
@@ -40,7 +40,7 @@ _U64 = struct.Struct("<Q")
 _TAIL = 9 + 20 + 8
 #: A larger summary is damage (ids have 16 bits), in bytes.
 _MAX_SUMMARY = 1 << 31
-#: In bytes, for messages outside chunks.
+#: Messages outside chunks are loaded in parts of this size, in bytes.
 _PART = 1 << 22
 #: A longer definition is damage, in bytes.
 _MAX_DEFINITION = 1 << 24

@@ -29,6 +29,7 @@ _MAX_HEADER = 1 << 20
 _MAX_INDEX = 1 << 31
 #: Longest header of other records.
 _HEAD_BLOCK = 1 << 12
+#: Bytes per message in an index record.
 _ENTRY = 12
 
 

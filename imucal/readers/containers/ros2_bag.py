@@ -17,6 +17,7 @@ from imucal.readers.containers.sqlite import SqliteFile, batch_of_blobs
 from imucal.readers.files import DamagedError, damaged_if, refused
 from imucal.readers.read_options import Progress
 
+#: Signature of a zstd frame.
 _ZSTD = b"\x28\xb5\x2f\xfd"
 #: A larger compressed message is damage, in bytes.
 _MAX_MESSAGE = 1 << 28

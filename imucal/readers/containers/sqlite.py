@@ -23,6 +23,7 @@ from imucal.readers.files import first_bytes
 
 Value = TypeVar("Value")
 
+#: Signature of a write-ahead log.
 _WAL = b"\x37\x7f\x06"
 #: Average bytes per task, and fewest rows.
 _PART, _ROWS = 1 << 22, 256
@@ -30,7 +31,7 @@ _PART, _ROWS = 1 << 22, 256
 _FETCH = 1024
 #: Damaged ranges are halved down to this many rows.
 _MIN_RANGE = 16
-#: Most rows counted without the metadata.
+#: Most rows counted if the metadata lack counts.
 _COUNTED = 2_000_000
 #: The last three come from values of a wrong type.
 _ERRORS = (sqlite3.Error, TypeError, ValueError, OverflowError)

@@ -44,6 +44,7 @@ _TIMES = {"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"}
 #: rosbags expects 80 characters between types, and no constants in lower case.
 _SEPARATOR = re.compile(r"^=+\s*MSG:\s*", re.MULTILINE)
 _CONSTANT = re.compile(r"^[ \t]*\w+(<=\d+)?[ \t]+\w+[ \t]*=.*$", re.MULTILINE)
+#: Limits of nesting, and of fields and files.
 _MAX_DEPTH, _MAX_FIELDS = 16, 20_000
 
 

@@ -31,7 +31,7 @@ _LOOKS = 8
 _MAX_LOSSES = 1000
 #: After more damaged messages in a row, the others are skipped.
 _MAX_TRIED = 64
-#: An index entry.
+#: Least bytes of a message in a file: an index entry.
 _MIN_MESSAGE_BYTES = 12
 
 

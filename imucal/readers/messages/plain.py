@@ -34,6 +34,7 @@ _PADDING = 3
 class Layout:
     """Byte order and alignment of numbers."""
 
+    #: ``<`` or ``>``.
     order: str = "<"
     #: Largest alignment in bytes; 1 for ROS 1.
     align: int = 8
@@ -95,7 +96,7 @@ class BinaryDecoder:
         for path in self._wanted - known:
             if match := _ELEMENT.fullmatch(path):
                 self._elements.setdefault(match[1], {})[int(match[2])] = path
-        #: Whether the size is known.
+        #: Whether the size is known: the walk ends before a list of structures.
         self._whole = all(entry.kind != "other" for entry in fields)
         self._fields = [entry for entry in fields if entry.kind != "other"]
 

@@ -11,7 +11,7 @@ from imucal.readers.containers import Channel
 from imucal.readers.messages.definitions import Definition, DefinitionError, standard_types
 from imucal.readers.messages.trees import TIME, Leaf, Parse, is_time
 
-#: Types may refer to themselves.
+#: Deepest nesting; types may refer to themselves.
 _MAX_DEPTH = 8
 _MAX_LINES, _MAX_MESSAGES = 4000, 2000
 _CODES = {"DOUBLE": "f8", "FLOAT": "f4", "INT32": "i4", "INT64": "i8", "UINT32": "u4", "UINT64": "u8",

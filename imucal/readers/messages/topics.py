@@ -32,11 +32,13 @@ from imucal.readers.tables.plan import TablePlan, find_bare_triads, find_triads,
 from imucal.recording import Sensor
 
 _ENCODINGS = ("cdr", "ros1", "json", "protobuf")
+#: Separators in a columns text, and times that are not columns.
 _MARKS, _CLOCKS = r"[,+=@:]", (None, "header", "log")
 #: Elements of longer arrays are columns only if they are named.
 _MAX_ELEMENTS = 9
 #: Messages examined, and chunks read for them.
 _HEAD, _LOOKS = 100, (1, 32)
+#: Rows examined of a table in memory.
 HELD_ROWS = 400
 #: Packages of general vectors, read only if the user names the topic.
 _PLAIN = ("geometry_msgs/", "nav_msgs/")
@@ -72,10 +74,11 @@ class Topic:
     leaves: tuple[Leaf, ...] = ()
     columns: tuple[Column, ...] = ()
     sensors: tuple[Sensor, ...] = ()
-    #: Whether its vectors are general.
+    #: Whether its vectors are general: read only if the user names the topic.
     plain: bool = False
     #: Why its messages can't be read; otherwise empty.
     reason: str = ""
+    #: The sensor requested by the user.
     wanted: Sensor | None = None
     given: Mapping[str, str] = field(default_factory=dict)
     #: Columns in memory, shape (n,) each; if `sparse`, rows without values are not samples.

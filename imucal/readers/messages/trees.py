@@ -16,10 +16,11 @@ from imucal.readers.store import Block
 #: Bytes of a message -> mappings, lists and numbers, or objects.
 Parse: TypeAlias = Callable[[bytes], Any]
 
-#: Seconds and nanoseconds.
+#: Type of a leaf with seconds and nanoseconds.
 TIME = "time"
 _SECONDS = ("sec", "secs", "seconds")
 _NANOSECONDS = ("nanosec", "nanos", "nsec", "nsecs", "nanoseconds")
+#: Most members examined of a JSON object.
 _MAX_MEMBERS = 600
 
 _STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")

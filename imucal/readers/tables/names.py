@@ -63,6 +63,7 @@ class NamedColumn:
         return parsed[1] if parsed and parsed[0] is sensor else None
 
 
+#: Words in camelCase, capitals and digits.
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-zµμ]+\d*|[A-Z]+\d*|\d+")
 
 #: Units that make T a temperature.

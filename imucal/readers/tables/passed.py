@@ -15,6 +15,7 @@ from imucal.arrays import release
 from imucal.readers.store import allocated
 from imucal.resources import column_limit
 
+#: Bytes read and written at a time.
 PIECE = 1 << 24
 
 #: Name of an array, the axis along which it is cut, and its parts with that axis first.

@@ -36,6 +36,7 @@ _CLOCKS = ("header", "log")
 
 _BY_NAME = "by name"
 
+#: Columns with the device or sensor of each row.
 _INSTANCE = listed(
     "i instance imu imu_id sensor sensor_id sensorid device device_id dev source src id unit_id topic frame "
     "frame_id child_frame_id name tag type stream channel"
@@ -48,7 +49,9 @@ _PARTNERS = {
     for case in (str.lower, str.capitalize, str.upper)
 }
 
+#: Most columns, and most columns texts, in a message.
 _MAX_LISTED, _MAX_EXAMPLES = 12, 4
+#: Most different tags in a column.
 _MAX_TAGS = 8
 
 
@@ -282,6 +285,7 @@ def find_temperature(columns: Sequence[NamedColumn], *, near: Sequence[int] = ()
     return min(indices, key=lambda index: min((abs(index - n) for n in near), default=0), default=None)
 
 
+#: Largest number of sensors that a column may number.
 _MAX_SENSORS = 8
 
 

@@ -187,12 +187,14 @@ _KINDS = {"ns": "complete time stamps", "text": "date and time"}
 
 _TEXTS: Any = {"kind": "text", "ns": 1, "source": "text"}
 
+#: Words that name the sensor of a time.
 _OWNERS = {Sensor.GYROSCOPE: ("gyr", "angular"), Sensor.ACCELEROMETER: ("acc",)}
 _OTHER_OWNERS = ("mag", "motion", "baro", "gps", "image", "cam")
 
 #: Seconds since 1970 or 1980.
 _EPOCH = (5e8, 4e9)
 
+#: Columns of hours or minutes, and columns that restart with them.
 _DATED = frozenset({"hour", "hours", "minute", "minutes"})
 _RESTARTED = frozenset(
     {"minute", "minutes", "min", "second", "seconds", "sec"}

@@ -39,6 +39,7 @@ from imucal.readers.tables.stamps import (
 from imucal.recording import Recording, Sensor
 from imucal.units import TIME_UNITS_NS
 
+#: Largest relative difference between the given rate and the rate in a time unit.
 _RATE_TOLERANCE = 0.1
 
 _SECOND = 10**9
@@ -278,6 +279,7 @@ def _counted_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReadi
 
 #: In degrees Celsius; values outside are raw counts.
 _TEMPERATURES = (-80.0, 200.0)
+#: The median is taken of at least this many values.
 _LOOKED_AT = 1_000_000
 
 

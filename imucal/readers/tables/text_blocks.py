@@ -24,6 +24,7 @@ _TEXTS: tuple[Kind, ...] = get_args(TextKind)
 _QUOTED = re.compile(rb'"[^"\n]*"')
 _UNCLOSED = re.compile(rb'(?m)^[^"\n]*"[^\n]*$')
 
+#: Extra column for cells beyond the layout.
 _LONGER = "longer"
 
 _COMMENTS = ("#", "%", "//", ";")

@@ -51,12 +51,12 @@ _HEAD = 1 << 18
 _BLOCK = 4 << 20
 #: Fewest lines of a table in the head; many cells on fewer lines are too long rows.
 _MIN_LINES, _MAX_CELLS = 3, 1000
-#: In bytes.
+#: Longest row of a table, in bytes.
 _MAX_LINE = 1 << 20
 #: In bytes: 4 bytes may expand to 128 KiB.
 _PIECE = 1 << 12
 
-#: Packages have their own error classes.
+#: Errors of a truncated or damaged stream, and packages with their own error classes.
 _DAMAGE = (EOFError, OSError, zlib.error, lzma.LZMAError, ValueError, RuntimeError)
 _PACKAGES = {"zstandard", "lz4", "backports"}
 

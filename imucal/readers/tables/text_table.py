@@ -99,6 +99,7 @@ def _other_rows(path: str, layout: TextLayout) -> str:
 
 #: A wider table has no row per sample.
 _MAX_COLUMNS = 500
+#: Advice for a file without samples.
 _ONLY_TIMES = "it contains only times; write them next to the samples, such as with paste -d ,"
 
 

@@ -30,11 +30,13 @@ from imucal.readers.tables.tabular import contents_of, refuse_topics, with_more
 from imucal.readers.ways_out import OBJECTS_IN_NPZ
 from imucal.recording import Recording
 
+#: Most columns of a list or a matrix.
 _MAX_COLUMNS = 64
 
 #: Fields of a MATLAB object as scipy returns it.
 _OBJECT = ("s0", "s1", "s2", "arr")
 
+#: Deepest nesting of MATLAB structures.
 _MAX_DEPTH = 8
 
 _FORMATS = {
@@ -59,7 +61,7 @@ _RATES = frozenset(
     {"fs", "freq", "rate", "rate_hz", "samplerate", "sample_rate", "sampling_rate", "frequency"}
 )
 
-#: From NaveGo's imu structure.
+#: Specific force and turn rate in NaveGo's imu structure.
 _NAVEGO = {"fb": ("accelerometer", "m/s^2"), "wb": ("gyroscope", "rad/s")}
 
 

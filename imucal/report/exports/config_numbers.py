@@ -29,6 +29,7 @@ AxisPolicy: TypeAlias = Literal["worst", "rms", "x", "y", "z"]
 Unidentified: TypeAlias = Literal["bound", "refuse"]
 Basis: TypeAlias = Literal["covered", "as-fitted"]
 
+#: Name of an inflation -> symbols of its terms.
 INFLATABLE: dict[str, tuple[str, ...]] = {"white": ("N",), "walk": ("K",), "flicker": ("B", "GM")}
 COVERING = ("N", "K")
 #: States per decade of a flicker bank, and ratio of the time of equal white noise to its shortest T.

@@ -28,6 +28,7 @@ _NUMBER = ("no", "one", "two", "three", "four", "five")
 _SAME_RESPONSE = 0.02
 #: Lowest and highest starting corner, as fractions of the band, and number of corners.
 CORNERS = (0.03, 0.97, 24)
+#: Number of bins that show the highest frequencies of the band.
 HIGHEST = 8
 
 #: Poles and zeros of a response.

@@ -69,6 +69,7 @@ _MASKING = 0.5
 _ABOVE, _ROUNDED = 4.0, 3.0
 #: Factor on the shortest correlation time of a term that can't imitate the filter.
 _SLOWER = 10.0
+#: Highest number of poles.
 _ORDERS = 5
 #: Fraction of Nyquist above which the zeros of a response are visible; at Nyquist the response is zero.
 _NARROW = 0.4
@@ -77,6 +78,7 @@ _WITH_ZEROS: list[Order] = [
     *_ALL_POLES,
     *((z + more, z) for z in (1, 2, 3, 4) for more in (0, 1, 2) if z + more <= _ORDERS),
 ]
+#: Fewest bins of a band.
 _MIN_BINS = 24
 
 

@@ -30,6 +30,7 @@ _WHITE, _WHITE_IF_STRONG, _STRONG, _NEXT = 0.6, 0.4, 10.0, 4
 _ABOVE_NOISE, _OCTAVES, _CELL, _COUNT, _EVEN = 1.3, 2.5, 0.5, 200, 0.12
 #: Factor that widens the interval: the next bins may belong to it and be low by chance.
 _GUARD = 1.2
+#: Fits, and the fewest bins of one.
 _ROUNDS, _MIN_BINS = 10, 24
 
 

@@ -23,6 +23,7 @@ from imucal.recording import AxisSeries
 from imucal.screening import amount
 from imucal.units import pretty
 
+#: Largest number of lines listed in a finding.
 _NAMED = 4
 #: False alarm rate of tones per record.
 _CHANCE = 1e-4
@@ -222,6 +223,7 @@ def _cycle_finding(found: list[Disturbance], series: AxisSeries, scale: float, *
     return Finding("warning", "cycle", text, advice, axis=series.name)
 
 
+#: Kind of disturbance -> function that returns its finding, in order of the report.
 _WORDS = {
     "temperature": _temperature_finding,
     "warm-up": _warm_up_finding,

@@ -31,6 +31,7 @@ from imucal.recording import AxisSeries
 
 #: Fewest samples of a segment, and of its parts.
 _MIN_SAMPLES, _MIN_PART_SAMPLES = 2048, 64
+#: Least number of segments for the tests.
 _MIN_SEGMENTS = 3
 #: Single bins and bins per octave; the model's mean over a bin is exact.
 _SINGLES, _PER_OCTAVE = 16, 12
@@ -149,6 +150,7 @@ def _kept(block: Block, size: int) -> BoolArray | None:
     return outside(low, high, size - 1)
 
 
+#: Longest averaging time of the floor, as a share of a segment.
 _PART = 0.25
 
 

@@ -24,7 +24,7 @@ _STRUCTURE = ("N", "B", "GM", "K", "R")
 _LOWEST = 4000
 #: Time constants of a warm-up, as parts of the record.
 _WARM_UPS = np.geomspace(0.01, 2.0, 12)
-#: Time constants around the best one.
+#: Time constants around the best one, relative to it.
 _NEAR_WARM_UPS = np.geomspace(1 / 1.5, 1.5, 9)
 #: Lags of a temperature, as parts of the record.
 _LAGS = np.geomspace(3e-4, 0.1, 16)
@@ -32,11 +32,13 @@ _LAGS = np.geomspace(3e-4, 0.1, 16)
 _MIN_PERIODS, _MAX_PERIODS = 2.0, 24.0
 #: Fewest periods per record of a slow cycle.
 _MIN_SLOW_PERIODS = 0.7
+#: Number of ordinates for a slow cycle.
 _OF_SLOW = 128
 #: Spacing of the periods per record: of the search, and around its peak.
 _SPACING, _FINE = 0.25, 1 / 64
 #: Least gain beyond the price, in twice the log-likelihood.
 _MARGIN = 7.0
+#: False alarm rate of steps in clean records of known spectrum.
 _CHANCE_STEP = 0.002
 #: Price of a cycle, independent of the rate. Source: Baluev (2008), MNRAS 385, 1279.
 _PRICE_CYCLE = 16.0
@@ -48,7 +50,7 @@ _PRICE_SLOW_CYCLE, _PRICE_WARM_UP = 20.0, 20.0
 _RIVAL_WARM_UP, _RIVAL_CYCLE = 5.0, 14.0
 #: Ratio of the spectra with and without a walk from which there is one.
 _NO_WALK = 2.0
-#: Logarithm of a zero variance.
+#: Logarithm of a variance that is zero.
 _ABSENT = -300.0
 #: Share of the best gain from which shapes with a cause are preferred to cycles.
 _CAUSED = 0.9
@@ -57,6 +59,7 @@ _TELLABLE = 65536
 #: Least gain, at the spectrum without the shape, for a fit; less for slow cycles and warm-ups, because this
 #: spectrum contains their power.
 _WORTH_A_FIT, _SMOOTH_WORTH_A_FIT = 15.0, 9.0
+#: Largest number of shapes to take out.
 _MAX_SHAPES = 8
 
 

@@ -15,6 +15,7 @@ from imucal.fitting.spectral.blocks import Block
 from imucal.fitting.spectral.ordinates import cycle_ordinates
 from imucal.frozen import frozen_alone
 
+#: Number of places in a block to search for a step.
 _PLACES = 8192
 #: Ordinates that contain nearly all power of a smooth shape.
 _OF_SMOOTH = 512
