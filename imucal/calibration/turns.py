@@ -1,7 +1,8 @@
 """Gyroscope scale and misalignment from the direction of gravity before and after each turn.
 
 The gyroscope, with C_g, carries the direction of gravity from one rest to the next; the accelerometer shows
-where it ends. Two components of the difference are the residuals.
+where it ends. Two components of the difference are the residuals. Their covariance includes the gyroscope's
+noise, the two bias estimates, and the error of both directions.
 """
 
 import math
@@ -251,7 +252,10 @@ def _covariance(
 
 
 def _by_earth(data: TurnData, carried: _Carried, headings: Headings) -> FloatArray:
-    """Return the covariance of the residuals by a horizontal rate with components of 1."""
+    """Return the covariance of the residuals, shape (2t, 2t), by a horizontal rate with components of 1.
+
+    The bias between two rests contains the rate at both: only its change within the turn has an effect.
+    """
     E = np.empty((2, 2 * len(data.rests)))
     for which, ahead in enumerate((headings.ahead, headings.aside)):
         first, last = ahead[data.rests], ahead[data.rests + 1]

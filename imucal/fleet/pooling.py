@@ -92,7 +92,9 @@ def pool(fits: Sequence[NoiseFit], *, model: str = "N + B + K", level: float = 0
 
     Each of the `fits` needs bins (`NoiseFit.bins`): from `imucal.fit` or `imucal.characterize`, or from a
     report written with bins. `model` must not be ``auto``, so that all units have the same terms. The limits
-    are profile limits. A ramp is common to all records.
+    are profile limits. For up to four stationary records the result equals the fit (``segments=1``) of one
+    record that contains them with long gaps in between, except that steps, cycles, effects of temperature,
+    spikes and heavy tails are treated in each record separately.
 
     Raises a DataError if a fit has no bins, or if the records differ in sensor, sampling rate or output
     filter. Raises a ValueError if there is no fit, if `model` is not a sum of terms, or if `level` is not

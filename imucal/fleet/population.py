@@ -44,7 +44,8 @@ _TOO_FEW = (
     "{}: the spread between units, the next unit and a tolerance bound need at least "
     f"{MIN_UNITS}; test about 10."
 )
-#: Grid of a mean square: points, least log-likelihood, doublings, and chunk.
+#: Grid of the log-likelihood of a mean square: points, its value at the end relative to the peak, most
+#: doublings of the end, and units added at a time.
 _POINTS, _NOTHING, _DOUBLINGS, _CHUNK = 1001, -30.0, 200, 1024
 
 
