@@ -2,6 +2,7 @@
 
 import functools
 import inspect
+import warnings
 from collections.abc import Callable, Sequence
 from typing import ParamSpec, TypeAlias, TypeVar
 
@@ -11,6 +12,8 @@ __all__ = ["REMOVED", "takes"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
+#: Former name of an argument -> its name.
+_RENAMED = {"tell": "on_finding"}
 REMOVED = {
     "verify": "verify was removed: imucal's tests compare fits with the exact likelihood; leave it out"
 }
@@ -39,6 +42,9 @@ def takes(example: str, **kinds: _Kind) -> Callable[[Callable[P, T]], Callable[P
 
         @functools.wraps(function)
         def checked(*args: P.args, **kwargs: P.kwargs) -> T:
+            for old in _RENAMED.keys() & kwargs.keys():
+                warnings.warn(f"{old} is deprecated; use {_RENAMED[old]}", DeprecationWarning, stacklevel=2)
+                kwargs[_RENAMED[old]] = kwargs.pop(old)
             try:
                 given = signature.bind(*args, **kwargs).arguments
             except TypeError as error:

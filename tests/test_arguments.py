@@ -140,3 +140,10 @@ def test_a_report_of_vague_or_moved_noise_is_exported_by_force_only(tmp_path: Pa
         assert list(tmp_path.iterdir()) == []
     (file,) = imucal.export(vague, "kalibr", tmp_path / "imu.yaml", force=True)
     assert file.is_file()
+
+
+def test_the_former_name_of_an_argument_works_with_a_warning(tmp_path: Path) -> None:
+    """`tell` of `write_report` is `on_finding`."""
+    with pytest.warns(DeprecationWarning, match="tell is deprecated; use on_finding"):
+        files = imucal.write_report(still(), tmp_path / "out", formats=(), html=False, tell=print)  # type: ignore[call-arg]
+    assert files[0].name == "report.json"

@@ -14,7 +14,7 @@ BUDGET = {
     "readers": Size(10991, 85900, 55),  # one chooser for topics, tables and flight logs; changes of the rate
     "fitting": Size(8131, 66017, 37),  # smoothing, humps, warm-ups, slow cycles and many lost samples
     "report": Size(5077, 39275, 23),  # one writer for all result folders; pictures in three modules
-    "top": Size(4515, 26838, 26),  # checked advice for a disturbed log; checked arguments, simulate()
+    "top": Size(4521, 26888, 26),  # checked advice for a disturbed log; checked arguments, simulate()
     "cli": Size(3807, 24686, 20),  # calibrate, exports of its result, options in groups
     "fleet": Size(1424, 11927, 6),  # its logs in one form for the population
     "allan": Size(1653, 12474, 6),  # graded lags and runs that the fits use too
@@ -32,7 +32,7 @@ BUDGET = {
 # advice that is checked before it is printed another 150; advice for wrong arguments in Python 250.
 # Calibration from rests is a new feature: estimate, command, 13 exports, three pictures and a page.
 # Texts of the tables of formats and exit codes moved from the docs into the code: 50 lines.
-IN_ALL = Size(47_873, 357_968, 232)
+IN_ALL = Size(47_879, 358_018, 232)
 #: Modules of the package that one fit with its report may load: those of tables choose columns of messages.
 LOADED = 145
 
@@ -115,7 +115,7 @@ def test_paths_are_counted_as_mccabe_does() -> None:
 
 
 #: Awkward constructions, as `tests.plain_english` counts them. A number may fall and not rise.
-AWKWARD = {"code": 52, "messages": 3, "docs": 23}
+AWKWARD = {"code": 49, "messages": 3, "docs": 23}
 
 
 def test_awkward_constructions_are_counted() -> None:

@@ -146,15 +146,17 @@ def test_an_axis_that_can_not_be_screened_is_fitted(monkeypatch: pytest.MonkeyPa
 def test_a_picture_that_fails_costs_no_report(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, home: object, name: str, missing: set[str]
 ) -> None:
-    """It is left out, also in the place of an old one; report.json and the caller are told."""
+    """It is left out, also in the place of an old one; report.json and the caller get the finding."""
     whole = {path.name for path in write_report(small_report(), tmp_path / "out")}
     monkeypatch.setattr(home, name, _failing(ValueError("no canvas")))
-    told: list[str] = []
-    files = write_report(small_report(), tmp_path / "out", tell=lambda finding: told.append(finding.text))
+    findings: list[str] = []
+    files = write_report(
+        small_report(), tmp_path / "out", on_finding=lambda finding: findings.append(finding.text)
+    )
     assert whole - {path.name for path in files} == missing
     assert not any((tmp_path / "out" / name).exists() for name in missing)
     (finding,) = [f for f in load(tmp_path / "out").findings if f.code == "not-drawn"]
-    assert told == [finding.text]
+    assert findings == [finding.text]
     assert finding.text.startswith(
         f"{next(iter(missing))} was left out: internal error (ValueError: no canvas)"
     )

@@ -105,7 +105,7 @@ def write_files(
     from imucal.fleet_report.pages import verdict
 
     missing: list[Finding] = []
-    files = write_fleet(fleet, html=html, pictures=pictures, tell=missing.append)
+    files = write_fleet(fleet, html=html, pictures=pictures, on_finding=missing.append)
     page = next((file for file in files if file.suffix == ".html"), files[0])
     for file in [page] if page_alone else files:
         echo(str(file))

@@ -121,7 +121,7 @@ def command(
     if not no_report:
         files = write_report(
             report, folder, formats=formats, html=not no_html, paper=figure == "paper",
-            tell=missing.append, workers=jobs,
+            on_finding=missing.append, workers=jobs,
         )  # fmt: skip
         print_note(_written(folder, [path.name for path in files], replaced=replaced))
         print_findings(missing)

@@ -153,7 +153,7 @@ def run(
         echo(f"warning: {warned}", err=True)
     with _saying_how_to_go_on(out):
         with fleet_progress(when=bool(plan.tasks)) as progress:
-            run_plan(plan, settings, tell=progress or (lambda _: None))
+            run_plan(plan, settings, progress=progress or (lambda _: None))
         conclude(plan, out, ask=asking(settings), max_failed=max_failed)
 
 

@@ -136,7 +136,7 @@ def write_fleet(
     *,
     pictures: bool = True,
     html: bool = True,
-    tell: Callable[[Finding], None] | None = None,
+    on_finding: Callable[[Finding], None] | None = None,
 ) -> tuple[Path, ...]:
     """Write the report of a fleet; return the files, ``fleet.json`` first.
 
@@ -151,7 +151,7 @@ def write_fleet(
         The folder; by default the fleet's own.
     pictures, html
         Whether to write PNGs and the page.
-    tell
+    on_finding
         Called with the finding of each picture or page that was left out.
 
     Raises
@@ -160,7 +160,7 @@ def write_fleet(
         If a file can't be written.
     """
     folder = fleet.folder if out is None else Path(out)
-    written, fleet = _drawn(fleet, pictures=pictures, html=html, tell=tell or (lambda _: None))
+    written, fleet = _drawn(fleet, pictures=pictures, html=html, on_finding=on_finding or (lambda _: None))
     text = json.dumps(fleet_document(fleet), indent=1, allow_nan=False, ensure_ascii=False)
     contents = {"fleet.json": f"{text}\n".encode(), "fleet.csv": fleet_csv(fleet).encode()}
     contents |= {name: data for name, data in written.items() if data is not None}
@@ -172,7 +172,7 @@ def write_fleet(
 
 
 def _drawn(
-    fleet: Fleet, *, pictures: bool, html: bool, tell: Callable[[Finding], None]
+    fleet: Fleet, *, pictures: bool, html: bool, on_finding: Callable[[Finding], None]
 ) -> tuple[dict[str, bytes | None], Fleet]:
     """Return PNGs and page, None for failed ones, and the fleet with their findings."""
     written: dict[str, bytes | None] = {}
@@ -182,7 +182,7 @@ def _drawn(
     def tried(draw: Callable[[], dict[str, bytes]], name: str) -> dict[str, bytes]:
         drawn, failed = try_side_work(draw, {}, what=f"{name} is missing", code="not-drawn")
         for finding in failed:
-            tell(finding)
+            on_finding(finding)
             findings.append(finding)
         return drawn
 

@@ -133,8 +133,8 @@ def run_fleet(
     prepare(plan, settings)
     if warning := unprotected(scheduler):
         warnings.warn(warning, stacklevel=2)
-    tell = progress or (lambda _, __: None)
-    run_plan(plan, settings, tell=lambda count: tell(count.done, count.logs))
+    done = progress or (lambda _, __: None)
+    run_plan(plan, settings, progress=lambda count: done(count.done, count.logs))
     return load_fleet(folder, ask=asking(settings))
 
 
@@ -151,9 +151,9 @@ def prepare(plan: FleetPlan, settings: FleetSettings) -> None:
 
 
 def run_plan(
-    plan: FleetPlan, settings: FleetSettings, *, tell: Callable[[RunCount], object] = lambda _: None
+    plan: FleetPlan, settings: FleetSettings, *, progress: Callable[[RunCount], object] = lambda _: None
 ) -> RunCount:
-    """Process the logs of a plan and commit them; `tell` is called whenever the count changes.
+    """Process the logs of a plan and commit them; `progress` is called whenever the count changes.
 
     Raises WriteError, and EngineError if the workers of a cluster can't be reached or ended.
     """
@@ -170,10 +170,10 @@ def run_plan(
         batch = alone.popleft() if alone else next(waiting, None)
         if batch is not None:
             count.running += len(batch)
-            tell(count)
+            progress(count)
         return batch
 
-    tell(count)
+    progress(count)
     for batch, failed in outcomes(take, partial(work_on_batch, settings), settings):
         count.running -= len(batch)
         if isinstance(failed, Lost):
@@ -188,7 +188,7 @@ def run_plan(
         count.done += len(batch)
         count.done_size += sum(task.size for task in batch)
         count.failed += failed
-        tell(count)
+        progress(count)
     return count
 
 

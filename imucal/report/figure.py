@@ -206,8 +206,8 @@ def _table_rows(seen: View) -> list[tuple[str, list[str]]]:
 
 def _row_texts(row: Row) -> list[str]:
     exponent = row.column(datasheet=True).exponent
-    tell = numbers.with_uncertainty if row.symbol else numbers.with_interval
-    return [tell(cell.sheet, exponent=exponent) if cell else "–" for cell in row.cells]
+    text_of = numbers.with_uncertainty if row.symbol else numbers.with_interval
+    return [text_of(cell.sheet, exponent=exponent) if cell else "–" for cell in row.cells]
 
 
 def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str, list[str]]]) -> None:

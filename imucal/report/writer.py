@@ -30,7 +30,7 @@ def write_report(
     formats: Sequence[str] = ("png",),
     html: bool = True,
     paper: bool = False,
-    tell: Callable[[Finding], None] | None = None,
+    on_finding: Callable[[Finding], None] | None = None,
     workers: int | None = None,
 ) -> tuple[Path, ...]:
     """Write the report folder `out`; return its files, report.json first.
@@ -47,7 +47,7 @@ def write_report(
         Whether to write the page.
     paper
         Whether to draw curves for one column of a paper, such as ``gyro-paper.pdf``.
-    tell
+    on_finding
         Called with the finding of each picture or page that was left out.
     workers
         Largest number of pictures drawn in parallel, as in `imucal.characterize`.
@@ -66,7 +66,7 @@ def write_report(
     folder = _folder(out)
     folder.refuse_foreign()
     drawings = draw(report, formats, page=html, paper=paper, workers=workers)
-    contents = _contents(report, drawings, html=html, tell=tell or (lambda _: None))
+    contents = _contents(report, drawings, html=html, on_finding=on_finding or (lambda _: None))
     names = _names(report, picture_names(report, formats, paper=paper))
     return folder.write({name: contents[name] for name in names if name in contents})
 
@@ -89,7 +89,7 @@ def _names(report: Report, pictures: Sequence[str]) -> tuple[str, ...]:
 
 
 def _contents(
-    report: Report, drawings: "Drawings", *, html: bool, tell: Callable[[Finding], None]
+    report: Report, drawings: "Drawings", *, html: bool, on_finding: Callable[[Finding], None]
 ) -> dict[str, bytes]:
     """Return name -> content; page and report.json list failed pictures."""
     contents: dict[str, bytes] = dict(drawings.files)
@@ -113,5 +113,5 @@ def _contents(
     for axis in report.axes:
         contents[f"{axis.name}.json"] = dumps(axis_document(report, axis)).encode()
     for failure in failures:
-        tell(failure)
+        on_finding(failure)
     return contents

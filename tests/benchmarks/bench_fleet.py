@@ -137,7 +137,7 @@ def engine(folder: Path, *, logs: int, seconds: float) -> None:
             told = ", ".join(f"{n} {memory[n]:.1f} MB {1e3 * used[n] / count.done:.3f} ms" for n in used)
             print(f"{count.done:7} logs, {time.perf_counter() - begun:6.1f} s: {told}", flush=True)
 
-        done = run_plan(plan, settings, tell=tell)
+        done = run_plan(plan, settings, progress=tell)
         assert (done.done, done.failed) == (logs, 0)
 
 

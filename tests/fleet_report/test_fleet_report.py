@@ -668,7 +668,7 @@ def test_a_picture_that_fails_costs_nothing_else(
     )
     (tmp_path / "heat.png").write_bytes(b"of yesterday")
     told: list[str] = []
-    files = imucal.write_fleet(fleet, tmp_path, tell=lambda finding: told.append(finding.text))
+    files = imucal.write_fleet(fleet, tmp_path, on_finding=lambda finding: told.append(finding.text))
     assert [file.name for file in files] == ["fleet.json", "fleet.csv", "units-accel.png", "fleet.html"]
     assert not (tmp_path / "heat.png").exists()
     missing = ("units-gyro", "heat")

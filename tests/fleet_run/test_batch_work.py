@@ -75,5 +75,5 @@ def test_a_run_reports_the_logs_in_progress(tmp_path: Path, monkeypatch: pytest.
     plan = FleetPlan(logs=tasks)
     seen: list[tuple[int, int]] = []
     settings = FleetSettings(store=str(tmp_path), folder=str(tmp_path), memory=4 << 30)
-    running.run_plan(plan, settings, tell=lambda count: seen.append((count.done, count.running)))
+    running.run_plan(plan, settings, progress=lambda count: seen.append((count.done, count.running)))
     assert seen == [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1), (3, 0)]
