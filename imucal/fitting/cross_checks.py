@@ -151,10 +151,7 @@ def unseen_spectrum() -> Finding:
 
 
 def ambiguity_findings(result: NoiseFit, spectrum: Spectrum, axis: str) -> tuple[Finding, ...]:
-    """Return a finding if a fit describes the Allan curve but not the spectrum of the samples.
-
-    Source: Wilson & Hilferty (1931), PNAS 17, 684 (standard-normal scores).
-    """
+    """Return a finding if a fit describes the Allan curve but not the spectrum of the samples."""
     tau = result.goodness.tau_s
     described = result.goodness.statistic < MISFIT
     if tau is None or not described or not any(term.psd(np.ones(1), 1.0)[0] for term in result.model.terms):
@@ -162,17 +159,15 @@ def ambiguity_findings(result: NoiseFit, spectrum: Spectrum, axis: str) -> tuple
     used = np.arange(spectrum.frequency.size) >= _LOWEST
     used &= spectrum.frequency <= 0.5 / tau[0]
     density = result.model.psd(spectrum.frequency, rate_hz=result.rate_hz)
-    # A ramp has no density.
+    # A ramp has no density: leave out the frequencies where its power matters.
     tau0 = 1 / result.rate_hz
     slope = sum(term.coefficient * tau0 for term in result.model.terms if term.symbol == "R")
     sine = np.sin(np.pi * spectrum.frequency * tau0)
     used &= tau0 * slope**2 / (2 * result.curve.n * sine**4) < _TOLERANCE * density
     frequency, count = spectrum.frequency[used], spectrum.count[used]
     ratio = spectrum.psd[used] / density[used]
-    # Scores of chi-squared means, after a tolerance.
-    variance = 2 / (9 * count)
     within = np.clip(ratio, math.exp(-_TOLERANCE), math.exp(_TOLERANCE))
-    score = (np.cbrt(ratio / within) - (1 - variance)) / np.sqrt(variance)
+    score = _scores(ratio / within, count)
     far = (np.abs(score) > _HIDDEN) & (np.abs(np.log(ratio)) > math.log(_NOTABLE))
     together = float(np.sum(score**2 - 1)) / math.sqrt(2 * max(score.size, 1))
     if together < _CONTRADICTED or far.sum() < _MIN_BINS:
@@ -187,3 +182,12 @@ def ambiguity_findings(result: NoiseFit, spectrum: Spectrum, axis: str) -> tuple
     )
     advice = "Look at the spectrum and fit the samples by mle. Do not use the numbers of this fit."
     return (Finding("warning", "spectral-ambiguity", text, advice, axis=axis),)
+
+
+def _scores(ratio: FloatArray, count: FloatArray) -> FloatArray:
+    """Return the standard-normal scores of chi-squared means of `count` over their expectation.
+
+    Source: Wilson & Hilferty (1931), PNAS 17, 684.
+    """
+    variance = 2 / (9 * count)
+    return np.asarray((np.cbrt(ratio) - (1 - variance)) / np.sqrt(variance))

@@ -138,3 +138,10 @@ def test_beyond_32_the_modified_variance_has_the_shape_it_has_there(
     quick = model_edf(model, 64, terms, modified)
     monkeypatch.setattr(intervals, "_MODIFIED_LIMIT", 64)
     assert quick == pytest.approx(model_edf(model, 64, terms, modified), rel=0.02)
+
+
+@pytest.mark.parametrize("law", PowerLaw)
+@pytest.mark.parametrize("m", [1, 7])
+def test_the_covariance_at_lag_zero_is_the_allan_variance(law: PowerLaw, m: int) -> None:
+    found = intervals._covariance(law, np.zeros(1), m, OVERLAPPING)
+    assert found[0] == pytest.approx(float(law.avar(np.array([float(m)]))[0]), rel=1e-9)

@@ -5,9 +5,11 @@ import re
 import numpy as np
 import pytest
 from scipy.fft import idct
+from scipy.stats import chi2, norm
 
 from imucal import AxisSeries, Finding, allan_curve, avar_from_psd, characterize, fit
 from imucal.arrays import FloatArray
+from imucal.fitting.cross_checks import _scores
 from imucal.pipeline import Settings
 from imucal.recording import Recording, Source
 from tests.fitting.fits import simulated
@@ -88,3 +90,11 @@ def test_what_has_the_spectrum_of_its_model_is_let_alone(text: str) -> None:
     for seed in range(740, 746):
         series = AxisSeries.from_samples(simulated(text, 8192, seed), rate_hz=1.0)
         assert _said(fit(series, method="gmwm", model=model).findings) == []
+
+
+@pytest.mark.parametrize("count", [8, 40, 200])
+def test_the_scores_of_chi_squared_means_are_standard_normal(count: int) -> None:
+    """Wilson and Hilferty's cube root has an error below 0.05 between the quantiles of 0.02 and 0.98."""
+    p = np.array([0.02, 0.2, 0.5, 0.8, 0.98])
+    found = _scores(chi2.ppf(p, count) / count, np.full(5, float(count)))
+    np.testing.assert_allclose(found, norm.ppf(p), atol=0.05)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.testing as npt
 import pytest
+from scipy import signal
 
 from imucal.arrays import FloatArray
 from imucal.fitting.spectral import maximum
@@ -12,7 +13,9 @@ from imucal.fitting.spectral.disturbances import band as filter_response
 from imucal.fitting.spectral.disturbances import band_search
 from imucal.fitting.spectral.disturbances.band import Band, Order, start_response
 from imucal.fitting.spectral.disturbances.band_search import (
+    _around_hump,
     _BandSearch,
+    _coarse,
     _deviation_of_white,
     _enough,
     _simplest,
@@ -370,3 +373,20 @@ def test_a_band_selects_the_bins_outside_its_hump() -> None:
     npt.assert_array_equal(found.lam, data.lam[expected])
     assert found.top == pytest.approx(4 * np.sin(np.pi / 4) ** 2)
     assert not replace(_band("x"), hump=hump).flat
+
+
+def test_a_hump_must_describe_the_spectrum_better_than_a_flat_band() -> None:
+    """By more than 1 in the statistic of the misfit."""
+    samples = simulated("N=1e-4 + B=5e-5", 60_000, 3, rate_hz=100.0)
+    passed = signal.butter(1, (0.02, 0.05), "band")
+    white = np.random.default_rng(3).standard_normal(samples.size)
+    coarse = _coarse(ordinates_of(samples + 4e-3 * signal.lfilter(*passed, white)))
+    rich = ("N", "B", "K")
+    alone = _around_hump(coarse, rich, None)
+    assert alone is not None
+    assert alone.hump is not None
+    worse, better = (replace(alone, statistic=alone.statistic + more) for more in (2.0, 0.5))
+    found = _around_hump(coarse, rich, worse)
+    assert found is not None
+    assert found.hump == alone.hump
+    assert _around_hump(coarse, rich, better) is None
