@@ -69,6 +69,11 @@ def write_lines(path: Path, line: Callable[[Any], str]) -> None:
     path.write_text("".join(line(row) + "\n" for row in rows()), encoding="utf-8")
 
 
+def write_long(path: Path, content: object) -> None:
+    """Write JSON as one line that is longer than the part of a file that is examined."""
+    path.write_text(json.dumps(content, separators=("," + " " * 300, ":")))
+
+
 def objects() -> np.ndarray[Any, Any]:
     return np.column_stack(list(columns().values())).astype(object)
 
@@ -81,6 +86,11 @@ WITH_COMMAND: dict[str, tuple[Callable[[Path], object], str]] = {
     "pretty.json": (lambda path: path.write_text(json.dumps(rows(), indent=1)), "JSON in one piece"),
     "lists.json": (
         lambda path: path.write_text(json.dumps({k: v.tolist() for k, v in columns().items()})),
+        "JSON in one piece",
+    ),
+    "long rows.json": (lambda path: write_long(path, rows()), "JSON in one piece"),
+    "long columns.json": (
+        lambda path: write_long(path, {k: v.tolist() for k, v in columns().items()}),
         "JSON in one piece",
     ),
     "dicts.txt": (lambda path: write_lines(path, repr), "lines of Python dicts"),

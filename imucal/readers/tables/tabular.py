@@ -234,7 +234,9 @@ def _open_unit(
     named = f"name it in the header, such as {name}_{likely[0]}, " if fits and not name.isdigit() else ""
     ways = f"{choices}; give the time unit, {named}or give the sampling rate"
     has = f"the time of the {sensor}, has no unit and increases by {typical_step(values):g} per row"
-    which = ways if rates else "not a usual rate in any unit; name another time column"
+    which = (
+        ways if rates else "not a usual rate in any unit; name another time column, or give the sampling rate"
+    )
     return refused(path, f"column {time.name!r}, {has}, which is {which}", ChoiceError)
 
 

@@ -22,7 +22,7 @@ from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.files import refused
 from imucal.readers.read_options import Progress
-from imucal.readers.ways_out import TEXTS, way_out
+from imucal.readers.ways_out import LOGGERS, TEXTS, way_out
 from imucal.recording import LogFileInfo
 
 STANDARD_INPUT = "-"
@@ -243,10 +243,10 @@ class TextSource(AbstractContextManager["TextSource"]):
         """Return why the head contains too few lines, and the next step."""
         counts = {mark: self._start.count(mark.encode()) for mark in (",", ";", "\t", " ")}
         mark, cells = max(counts.items(), key=itemgetter(1))
-        if self.whole or cells < _MAX_CELLS:
+        way = way_out(self.name, self._start, (*TEXTS, *LOGGERS))
+        if self.whole or cells < _MAX_CELLS or way:
             found = "is empty" if self.whole else "has no line end in its first 256 KiB"
             found = f"{found} ({self.findings[0].text})" if self.findings else found
-            way = way_out(self.name, self._start, TEXTS)
             return f"the text {found}; {way or 'expected a table of numbers'}"
         cut = f"cut -d '{mark}' -f 1-7" if mark != "\t" else "cut -f 1-7"
         return (

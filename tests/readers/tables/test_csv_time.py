@@ -310,3 +310,13 @@ def test_held_samples_stay_with_a_warning(tmp_path: Path) -> None:
         "50% of the rows of the gyroscope repeat the previous time stamp and values: "
         "the log was written faster than the sensor was read."
     )
+
+
+def test_stamps_with_too_few_digits_are_refused_and_a_rate_replaces_them(tmp_path: Path) -> None:
+    """In single precision, seconds since 1970 advance by 128 s."""
+    stamps = np.float32(1.7e9 + np.arange(N) / 100).astype(np.float64)
+    with pytest.raises(ChoiceError, match="another time column, or give the sampling rate"):
+        recorded(tmp_path, "timestamp", stamps)
+    found = recorded(tmp_path, "timestamp", stamps, rate_hz=100.0)
+    assert found.series[0].rate_hz == 100.0
+    assert "time-unused" in {finding.code for finding in found.findings}
