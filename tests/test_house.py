@@ -115,7 +115,7 @@ def test_paths_are_counted_as_mccabe_does() -> None:
 
 
 #: Awkward constructions, as `tests.plain_english` counts them. A number may fall and not rise.
-AWKWARD = {"code": 49, "messages": 3, "docs": 24}
+AWKWARD = {"code": 49, "messages": 3, "docs": 23}
 
 
 def test_awkward_constructions_are_counted() -> None:
