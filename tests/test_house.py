@@ -24,7 +24,7 @@ BUDGET = {
     "calibration": Size(4003, 30541, 23),  # bias, scale and misalignment; JSON, table, exports, page
     "noise": Size(1143, 7688, 5),  # models with units
     "screening": Size(1150, 8822, 4),  # interpolated samples, moving accelerometers without gravity
-    "remote": Size(1023, 6385, 4),  # progress by the furthest byte, redirects said in words
+    "remote": Size(1022, 6385, 4),  # progress by the furthest byte, redirects said in words
     "prediction": Size(920, 6707, 5),  # terms without an upper limit
 }
 #: The whole package. It is on its way down: what is wanted is 44 000 lines and 300 000 tokens.
@@ -32,7 +32,7 @@ BUDGET = {
 # advice that is checked before it is printed another 150; advice for wrong arguments in Python 250.
 # Calibration from rests is a new feature: estimate, command, 13 exports, three pictures and a page.
 # Texts of the tables of formats and exit codes moved from the docs into the code: 50 lines.
-IN_ALL = Size(47_885, 358_056, 232)
+IN_ALL = Size(47_884, 358_056, 232)
 #: Modules of the package that one fit with its report may load: those of tables choose columns of messages.
 LOADED = 145
 
@@ -115,7 +115,7 @@ def test_paths_are_counted_as_mccabe_does() -> None:
 
 
 #: Awkward constructions, as `tests.plain_english` counts them. A number may fall and not rise.
-AWKWARD = {"code": 49, "messages": 3, "docs": 23}
+AWKWARD = {"code": 48, "messages": 3, "docs": 23}
 
 
 def test_awkward_constructions_are_counted() -> None:

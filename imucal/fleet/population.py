@@ -284,7 +284,7 @@ class MeanSquare:
         return self._known_by_limits or bool(others.min() >= TWO_SIDED)
 
     def share_bound(self, content: float, confidence: float) -> float:
-        """Return the bound of a share `content` of all units."""
+        """Return the bound of a share `content` of all units at a `confidence`."""
         return self.bound(confidence) * math.exp(max(float(scipy.special.ndtri(content)), 0.0) ** 2 / 4)
 
     def bound(self, confidence: float) -> float:

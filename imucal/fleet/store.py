@@ -124,7 +124,7 @@ class FleetStore:
             scratch.write_text(json.dumps(sealed, indent=2) + "\n", encoding="utf-8")
 
     def manifest(self) -> pl.DataFrame:
-        """Raise `ReadError` if there is no fleet."""
+        """Return the requested logs, one row each; raises `ReadError` if there is no fleet."""
         path = self.folder / _MANIFEST
         try:
             if _is_whole(path, ()):

@@ -172,7 +172,7 @@ def read_manifest(file: Path) -> list[LogTask]:
 
 
 def _of_row(heading: Sequence[str], row: Sequence[str], folder: Path) -> LogTask:
-    """Raise ValueError with what is wrong."""
+    """Return the log of a manifest's row; raises ValueError for a wrong cell."""
     _refuse_unless(len(row) == len(heading), f"{len(row)} cells, expected {len(heading)} as in the headings")
     cells = ((name, text) for name, text in zip(heading, row, strict=True) if text)
     labels = {name: meant(_COLUMNS.get(name, _ANY), text, f"column {name!r} is") for name, text in cells}

@@ -62,7 +62,7 @@ class LogFile:
         return Finding("warning", code, text)
 
     def read(self, position: int, size: int) -> bytes:
-        """Raise DamagedError if the file ends earlier."""
+        """Return bytes from a position; raises DamagedError if the file ends earlier."""
         beyond = min(position, size) < 0 or position + size > self.size
         damaged_if(beyond, f"{size} bytes at byte {position} are beyond the end of the file", "truncated")
         data = self._bytes(position, size)

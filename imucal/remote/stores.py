@@ -95,7 +95,7 @@ class HttpStore:
         return retried(url, looked_at)
 
     def read(self, file: RemoteFile, start: int, stop: int) -> bytes:
-        """Raise ChangedError if the object has changed."""
+        """Return bytes of an object; raises ChangedError if it has changed."""
 
         def part() -> bytes:
             data = b"".join(self.blocks(file, start, stop))
@@ -106,7 +106,7 @@ class HttpStore:
         return retried(file.url, part)
 
     def blocks(self, file: RemoteFile, start: int, stop: int | None = None) -> Iterator[bytes]:
-        """Raise PassingError or ChangedError."""
+        """Yield the bytes of an object in blocks; raises PassingError or ChangedError."""
         part = f"bytes={start}-{'' if stop is None else stop - 1}" if start or stop else None
         with _open(file.url, part) as (status, headers, body):
             if (part and status != 206) or _tag(headers) != file.etag:
@@ -288,7 +288,6 @@ class ObjectStore:
         return f"{self._scheme}://{key}"
 
     def _asked(self, url: str, work: Callable[[], Result]) -> Result:
-
         def attempt() -> Result:
             try:
                 return work()

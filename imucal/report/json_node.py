@@ -114,7 +114,7 @@ class Node:
         return array
 
     def _of(self, expected: str, *kinds: type[A]) -> A:
-        """Raise an error for other types; a boolean is not a number."""
+        """Return the value if it has this type, otherwise raise an error; a boolean is not a number."""
         if isinstance(self.value, bool) or not isinstance(self.value, kinds):
             self._refuse(expected)
         return self.value

@@ -101,7 +101,7 @@ class BinaryDecoder:
         self._fields = [entry for entry in fields if entry.kind != "other"]
 
     def decode(self, batch: Batch) -> Block:
-        """Raise DamagedError for an unknown layout or a wrong size."""
+        """Return the wanted numbers of a batch; raises DamagedError for an unknown layout or a wrong size."""
         if self._ros1:
             return self._decode(batch, 0, _ROS1)
         damaged_if(int(batch.sizes.min()) < 4, "a message is too short for CDR")

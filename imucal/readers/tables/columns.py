@@ -123,7 +123,7 @@ class NamedTable:
         return next((str(column.index) for column in self.columns if column.role is Role.TIME), "")
 
     def index_of(self, name: str) -> int:
-        """Raise ValueError if no or several columns match."""
+        """Return the index of a column; raises ValueError if no or several columns match."""
         name = name.strip()
         matches = [c.index for c in self.columns if plain_name(c.header) == plain_name(name)]
         if len(matches) == 1:

@@ -77,7 +77,7 @@ _ATTITUDE = {"roll": 0, "pitch": 1, "yaw": 2}
 
 
 def listed(text: str, mark: str | None = None) -> tuple[str, ...]:
-    """Split a text."""
+    """Return the words of a text."""
     return tuple(text.split(mark))
 
 

@@ -149,7 +149,7 @@ class _Zstd:
         self._packed = self._held = b""
 
     def read(self, size: int) -> bytes:
-        """Raise EOFError if the last frame is truncated."""
+        """Return unpacked bytes; raises EOFError if the last frame is truncated."""
         while not self._held:
             packed = self._packed or self._raw.read(_PIECE)
             if not packed:
