@@ -49,7 +49,7 @@ class TreeDecoder:
         self._steps = [[name or int(index) for index, name in _STEP.findall(path)] for path in paths]
 
     def decode(self, batch: Batch) -> Block:
-        """Return the wanted numbers of a batch; raises DamagedError if a message is damaged or lacks a field."""
+        """Return the wanted numbers; raises DamagedError if a message is damaged or lacks a field."""
         rows = [self._row(bytes(data)) for data in batch.messages()]
         columns = (list(cells) for cells in zip(*rows, strict=True))
         return [batch.log_ns, *(np.array(cells, _common_type(cells)) for cells in columns)]
