@@ -60,7 +60,7 @@ class Settings(FitSettings):
 
     taus: str = "octave"
     edf: str = "hybrid"
-    second_opinion: bool = True
+    second_opinion: bool = False
     bins: bool = False
     reading: Mapping[str, object] = field(default_factory=dict)
 
@@ -228,8 +228,8 @@ def _characterize_axis(
         # The fit reuses this transform.
         result = fit_axis(finite, settings, temperature=at_samples, curve=curve)
         opinions: tuple[Finding, ...] = ()
-        if settings.second_opinion and settings.method == "mle" and result.model.terms:
-            opinions = _opinions(finite, result, at_samples)
+        if settings.method == "mle" and result.model.terms:
+            opinions = _opinions(finite, result, at_samples, of_curve=settings.second_opinion)
     findings = [f for f in screened if f.axis == series.name]
     if not _moved(screened):
         # If the IMU moved, only the findings of the screening are useful.
@@ -271,16 +271,21 @@ def _of_fit(result: NoiseFit, series: AxisSeries, density: Spectrum) -> tuple[Fi
     )
 
 
-def _opinions(series: AxisSeries, first: NoiseFit, temperature: FloatArray | None) -> tuple[Finding, ...]:
-    """Compare with a fit of the curve, and predict one half from the other."""
+def _opinions(
+    series: AxisSeries, first: NoiseFit, temperature: FloatArray | None, *, of_curve: bool
+) -> tuple[Finding, ...]:
+    """Predict one half from the other, and compare with a fit `of_curve`."""
     if any(finding.code == "spikes" for finding in first.findings):
         series = clean(series)[0]
-    return findings_or_why_not(
-        lambda: second_opinion(first, fit_of_curve(series, first, temperature)),
-        what="The fit of the Allan curve failed",
-        code="second-opinion",
-        axis=series.name,
-    ) + findings_or_why_not(
+    found: tuple[Finding, ...] = ()
+    if of_curve:
+        found = findings_or_why_not(
+            lambda: second_opinion(first, fit_of_curve(series, first, temperature)),
+            what="The fit of the Allan curve failed",
+            code="second-opinion",
+            axis=series.name,
+        )
+    return found + findings_or_why_not(
         lambda: self_check(series, first, temperature),
         what="The prediction of one half from the other failed",
         code="predicts-badly",

@@ -124,7 +124,8 @@ def test_an_axis_keeps_its_result_when_there_is_no_second_opinion() -> None:
     """Samples that alternate have a curve that no noise has; the finding says why gmwm could not judge."""
     rng = np.random.default_rng(2)
     samples = np.where(np.arange(400) % 2, 1.0, -1.0) + 1e-9 * rng.normal(size=400)
-    report = characterize(recording_of(AxisSeries.from_samples(samples, rate_hz=100.0)))
+    log = recording_of(AxisSeries.from_samples(samples, rate_hz=100.0))
+    report = characterize(log, Settings(second_opinion=True))
     (finding,) = [f for f in report.axes[0].findings if f.code == "second-opinion"]
     assert finding.axis == "gyro_x"
     assert finding.text == (
@@ -222,7 +223,7 @@ def test_a_temperature_of_its_own_clock_is_taken_between_its_samples() -> None:
     samples = 1e-3 * rng.normal(size=n) + 5e-4 * warmth
     series = dataclasses.replace(AxisSeries.from_samples(samples, rate_hz=100.0), clock=own)
     log = dataclasses.replace(recording_of(series), temperature=Temperature(samples=degrees, clock=clock))
-    (axis,) = characterize(log, Settings(second_opinion=False)).axes
+    (axis,) = characterize(log).axes
     assert [(f.code, f.level) for f in axis.findings if f.code in {"temperature", "cycle"}] == [
         ("temperature", "info")
     ]

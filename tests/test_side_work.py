@@ -9,7 +9,7 @@ import pytest
 
 from imucal import pipeline, processes, screening
 from imucal.errors import DataError
-from imucal.pipeline import characterize, screen
+from imucal.pipeline import Settings, characterize, screen
 from imucal.processes import findings_or_why_not, try_side_work
 from imucal.recording import AxisSeries, Recording, Source
 from imucal.report import figure, html_page
@@ -94,7 +94,7 @@ def test_a_second_opinion_costs_no_result(
     """Wherever in the fit of the curve it fails; nor does what a longer record would show."""
     monkeypatch.setattr(pipeline, "second_opinion", _failing(error))
     monkeypatch.setattr(pipeline, "resolution_findings", _failing(error))
-    (axis,) = characterize(_one_axis()).axes
+    (axis,) = characterize(_one_axis(), Settings(second_opinion=True)).axes
     assert axis.fit["N"].value == pytest.approx(0.1, rel=0.1)
     texts = {finding.code: finding.text for finding in axis.findings}
     assert texts["second-opinion"] == f"The fit of the Allan curve failed: {said}."

@@ -16,7 +16,7 @@ _GROUPS = {
     "Which samples": "topic skip_s take_s rests time rate_hz columns fields message_definition join strict",
     "Units": "time_unit gyro_unit accel_unit gyro_scale accel_scale",
     "Model": "model level method",
-    "Advanced": "taus edf no_clean criterion weights segments bins",
+    "Advanced": "taus edf no_clean criterion weights segments second_opinion bins",
 }
 #: Their help only mentions the options for logs.
 _OF_REPORTS = {"export", "check", "drift", "plan", "compare"}

@@ -71,7 +71,7 @@ def command(
     folder = out or report_folder(request.logs[0], "decomposed")
     check_folder(folder)
     recording = _only(request.read(), axes)
-    settings = Settings(model=model, clean=not no_clean, second_opinion=False, reading=request.settings())
+    settings = Settings(model=model, clean=not no_clean, reading=request.settings())
     with progress(*FITTING) as update:
         report = characterize(recording, settings, progress=update)
     print_findings(report.all_findings)

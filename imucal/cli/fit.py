@@ -44,6 +44,7 @@ def command(
                 "--segments N=8  Compare the noise of N parts of the log; 1 disables this.",
                 click.IntRange(1, MAX_SEGMENTS),
             ),
+            "second_opinion": flag("--second-opinion  Also compare with a fit of the Allan curve."),
             "taus": option("--taus SET=octave  Averaging times: octave, decade, decade:20 or all.", TAU_SET),
             "edf": option(
                 "--edf=hybrid  Method for the degrees of freedom of the intervals.",

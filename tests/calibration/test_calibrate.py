@@ -231,9 +231,7 @@ def test_a_report_gives_the_noise() -> None:
         for sensor in Sensor
         for axis in AXES
     )
-    report = imucal.characterize(
-        replace(one.recording(), series=series), imucal.Settings(second_opinion=False)
-    )
+    report = imucal.characterize(replace(one.recording(), series=series))
     found = calibrate(one.recording(), noise=report, gravity=GRAVITY)
     assert found.noise["accel"].origin == "report"
     assert found.noise["accel"].ratio == pytest.approx(1.0, abs=0.05)

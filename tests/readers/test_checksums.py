@@ -110,7 +110,7 @@ def test_a_report_lists_the_files_read(tmp_path: Path) -> None:
 def test_the_range_of_a_recording(tmp_path: Path) -> None:
     """Of all of it, of a part of a part, and without stamps."""
     recording = read(write_mcap(tmp_path / "log.mcap", imu_messages(samples(3000))))
-    settings = imucal.Settings(model="N", segments=1, second_opinion=False)
+    settings = imucal.Settings(model="N", segments=1)
     report = imucal.characterize(recording, settings)
     assert report.source.read is not None
     assert (report.source.read.from_s, report.source.read.start_ns) == (0.0, START)
