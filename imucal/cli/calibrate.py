@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from imucal.cli import options_for
 from imucal.cli._declared import declared, flag, is_set, option
 from imucal.cli._printing import (
     as_typed,
@@ -23,7 +24,7 @@ from imucal.cli._report_input import REPORT, read_report
 from imucal.cli.fit import report_folder
 from imucal.cli.parameters import DURATION, LOG, PATH, LogRequest, Number
 from imucal.cli.simulate import log_to_write
-from imucal.errors import DataError
+from imucal.errors import ChoiceError, DataError
 from imucal.grading import remedy
 from imucal.printable import printable_json
 from imucal.recording import AXES, Sensor
@@ -88,7 +89,7 @@ def command(
     if not no_files:
         check_folder(folder)
     report = _noise_report(noise) if noise else None
-    recording = request.read()
+    recording = _read(request)
     with progress("calibrating"), _with_options():
         found = calibrate(
             recording, report, latitude, height, gravity,
@@ -105,6 +106,18 @@ def command(
         if apply_to:
             _write_corrected(found.apply(recording), apply_to)
     _end(found.verdict, recording.source.path, [f.code for f in found.findings if f.level != "info"])
+
+
+def _read(request: LogRequest) -> "Recording":
+    """Read the log; if a unit is unknown, the error names the option for raw counts."""
+    try:
+        return request.read()
+    except ChoiceError as error:
+        hint = options_for(str(error))
+        options = [f"--{s.short}-unit count" for s in Sensor if f"--{s.short}-unit" in hint]
+        if not options:
+            raise
+        raise ChoiceError(f"{error}; for raw counts type {' '.join(options)}") from error
 
 
 def _noise_report(path: Path) -> "Report":

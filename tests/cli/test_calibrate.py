@@ -265,7 +265,11 @@ def test_raw_counts_are_calibrated(tmp_path: Path) -> None:
     one = drawn(8212)
     counts = np.round(np.column_stack([4000 * one.gyroscope, 400 * one.accelerometer]) + 32768)
     np.savetxt(tmp_path / "raw.csv", counts, delimiter=",", header="gx,gy,gz,ax,ay,az", comments="", fmt="%d")
-    raw = ("raw.csv", "--rate", "100", "--gyro-unit", "count", "--accel-unit", "count")
+    unknown = run("calibrate", "raw.csv", "--rate", "100", cwd=tmp_path)
+    assert unknown.returncode == 3
+    typed = re.search(r"for raw counts type (.*)", unknown.stderr)
+    assert typed is not None
+    raw = ("raw.csv", "--rate", "100", *typed[1].split())
     done = run("calibrate", *raw, *PLACE, "-o", "out", "-q", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "per m/s²" in done.stdout
