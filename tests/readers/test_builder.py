@@ -1,4 +1,4 @@
-"""Columns into a recording: which samples, in which unit, and what is said once."""
+"""The builder turns columns into a recording with units, order, findings and decisions."""
 
 import numpy as np
 import numpy.testing as npt
@@ -15,8 +15,8 @@ from imucal.recording import Sensor
 CLOCK = Clock.even(3, 10.0)
 
 
-def test_samples_are_scaled() -> None:
-    """In place where they are the package's own memory, and in a copy where they can't be written."""
+def test_writable_samples_are_scaled_in_place() -> None:
+    """Read-only samples are copied."""
     builder = RecordingBuilder(path="log", format="csv")
     own, fixed = np.arange(9.0).reshape(3, 3), np.arange(9.0).reshape(3, 3)
     fixed.flags.writeable = False
@@ -32,8 +32,8 @@ def test_samples_are_scaled() -> None:
     npt.assert_array_equal(own, 0.5 * np.arange(9.0).reshape(3, 3))
 
 
-def test_samples_are_kept_in_an_order() -> None:
-    """Some of them, of a sensor or a temperature; the first temperature counts."""
+def test_an_order_selects_samples_and_temperatures() -> None:
+    """The first temperature is used."""
     builder = RecordingBuilder(path="log", format="csv")
     order = np.array([3, 0, 2])
     builder.add_sensor(
@@ -49,7 +49,7 @@ def test_samples_are_kept_in_an_order() -> None:
 
 
 def test_duplicate_findings_and_decisions_are_removed() -> None:
-    """In the order in which it was said."""
+    """They keep the order of their first appearance."""
     builder = RecordingBuilder(path="log", format="csv", decisions=[("unit", "SI")])
     first, second = (Finding(level="info", code=code, text=code) for code in ("a", "b"))
     builder.findings += [second, first, second]
@@ -66,7 +66,7 @@ def test_duplicate_findings_and_decisions_are_removed() -> None:
 
 
 def samples(sensor: Sensor, stated: UnitGuess | None = None) -> Unscaled:
-    """Return samples of a sensor that feels nothing but gravity along z."""
+    """Return samples of a sensor that measures only gravity along z."""
     rows = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
     return Unscaled(sensor=sensor, rows=rows, clock=CLOCK, stated=stated)
 
@@ -81,7 +81,7 @@ def samples(sensor: Sensor, stated: UnitGuess | None = None) -> Unscaled:
     ],
 )
 def test_given_units_override_inferred_ones(options: ReadOptions, decision: str, scale: float) -> None:
-    """A unit of the sensor, or the scale of its counts; else gravity tells."""
+    """The option is a unit or a scale of counts; without one, gravity identifies the unit."""
     builder = RecordingBuilder(path="log", format="csv", options=options)
     builder.add([samples(Sensor.ACCELEROMETER)])
     assert builder.decisions == [("accelerometer unit", decision)]
@@ -89,7 +89,7 @@ def test_given_units_override_inferred_ones(options: ReadOptions, decision: str,
 
 
 def test_units_in_the_log_override_inferred_ones() -> None:
-    """And what the caller says goes before it."""
+    """The user's unit overrides both."""
     stated = UnitGuess(unit="m/s^2", reason="as Acme logs it")
     for options, how in (
         (ReadOptions(), "m/s^2, as Acme logs it"),
@@ -111,8 +111,8 @@ def test_units_in_the_log_override_inferred_ones() -> None:
         ),
     ],
 )
-def test_a_unit_that_can_not_be(options: ReadOptions, wrong: str) -> None:
-    """The error says where, and what could be."""
+def test_an_impossible_unit_is_refused(options: ReadOptions, wrong: str) -> None:
+    """The error contains the place and the possible units."""
     builder = RecordingBuilder(path="log", format="csv", options=options)
     with pytest.raises(ChoiceError, match=f"^log: topic /imu: {wrong}"):
         builder.add([samples(Sensor.GYROSCOPE)], where="log: topic /imu")

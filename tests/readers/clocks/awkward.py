@@ -1,8 +1,8 @@
-"""Clocks as sensors, drivers and loggers spoil them, with the truth: the rate, and which samples there are.
+"""Simulated clocks with the faults of sensors, drivers and loggers, and the true rate and samples.
 
-What is realistic: a sensor samples evenly, to parts in a million; its samples wait in a buffer that is read
-when it is full, or when the computer finds the time; whoever reads it stamps them, one after another; clocks
-count in ticks, wrap, and are set; messages are lost, repeated and swapped on their way.
+Realistic faults: a sensor samples evenly, to parts in a million. Its samples wait in a buffer that is read
+when it is full or when the computer is free, and are stamped one after another. Clocks count in ticks, wrap,
+and are set. Messages are lost, repeated and swapped.
 """
 
 from collections.abc import Callable, Iterator
@@ -56,11 +56,11 @@ class Awkward:
     rate_hz
         Rate at which the sensor sampled.
     samples
-        The number of each sample, shape (n,), as the sensor counted: a repeated one stands there twice.
+        Number of each sample as counted by the sensor, shape (n,); a repeated sample appears twice.
     said
-        A finding that must be there; empty for none.
+        Code of an expected finding; empty for none.
     refused
-        Whether stamps have two readings, so that only the user can say which.
+        Whether the stamps are ambiguous, so that the user must give the rate.
     """
 
     stamps: IntArray
@@ -84,8 +84,8 @@ def fifo(
 ) -> Awkward:
     """Return samples of a buffer that is read `size` at a time, stamped `own_us` after each other.
 
-    With a `seed` each batch has its own size, from half of it to one and a half. The stamps of a batch begin
-    when its first sample was taken, or when its last was (the time at which it was read); or they end there.
+    With a `seed` each batch has a random size, from half of `size` to one and a half. The stamps of a batch
+    start at the time of its first sample or of its last sample (when it was read), or end there.
     """
     tau, own = SECOND / rate, own_us * US
     sizes = np.full(n // size + 1, size)
@@ -107,7 +107,7 @@ def fifo(
 def lossy(
     rate: float, share: float, *, jitter: float = 0.0, seed: int = 3, n: int = 6000, **more: object
 ) -> Awkward:
-    """Return samples of which a share is lost, one by one, with stamps that jitter by parts of a period."""
+    """Return samples with a random share lost one by one; the jitter is in periods."""
     rng = np.random.default_rng(seed)
     kept = rng.random(n) >= share
     kept[[0, -1]] = True
@@ -116,7 +116,7 @@ def lossy(
 
 
 def bursty_loss(rate: float, *, n: int = 20_000, seed: int = 4) -> Awkward:
-    """Return samples of a radio link: lost in runs of some ten, a twentieth of all."""
+    """Return samples of a radio link: 5 % are lost, in runs of about ten."""
     rng = np.random.default_rng(seed)
     kept = np.ones(n, dtype=np.bool_)
     for at in np.flatnonzero(rng.random(n) < 0.005).tolist():
@@ -126,7 +126,7 @@ def bursty_loss(rate: float, *, n: int = 20_000, seed: int = 4) -> Awkward:
 
 
 def even(rate: float, tick: int = 1, *, n: int = 6000, jitter: float = 0.0, said: str = "") -> Awkward:
-    """Return all samples, on a clock that counts in ticks, with stamps that jitter by parts of a period."""
+    """Return all samples, stamped by a clock that counts in ticks; the jitter is in periods."""
     noise = np.random.default_rng(5).normal(0, 1, n) * jitter * SECOND / rate
     return Awkward(
         stamps=_whole(_clock(rate, n) + noise, tick), rate_hz=rate, samples=np.arange(n), said=said
@@ -134,7 +134,7 @@ def even(rate: float, tick: int = 1, *, n: int = 6000, jitter: float = 0.0, said
 
 
 def scheduled(rate: float, *, n: int = 8000, tick: int = 1, seed: int = 6) -> Awkward:
-    """Return samples that a computer reads when it finds the time: all that wait, one after another."""
+    """Return samples that a busy computer reads at random times, all waiting ones at once."""
     rng = np.random.default_rng(seed)
     times = _clock(rate, n)
     reads = np.cumsum(rng.exponential(4.0, 4 * n) + 0.5) * SECOND / rate
@@ -146,7 +146,7 @@ def scheduled(rate: float, *, n: int = 8000, tick: int = 1, seed: int = 6) -> Aw
 
 
 def packets(rate: float, size: int, *, n: int = 8000, interval_ms: float = 7.5) -> Awkward:
-    """Return samples of a radio link: packets of some samples with one stamp, at its next interval."""
+    """Return samples of a radio link: each packet has one stamp, at the next interval of the link."""
     sample = np.arange(n)
     last = sample // size * size + size - 1
     times = np.ceil(last * (SECOND / rate) / (interval_ms * MS)) * interval_ms * MS
@@ -156,13 +156,13 @@ def packets(rate: float, size: int, *, n: int = 8000, interval_ms: float = 7.5) 
 def changed(
     of: Callable[[IntArray], IntArray], rate: float = 200.0, n: int = 8000, said: str = ""
 ) -> Awkward:
-    """Return even samples whose stamps something befalls."""
+    """Return even samples with stamps that a function changes."""
     clock = even(rate, n=n)
     return Awkward(stamps=of(clock.stamps.copy()), rate_hz=rate, samples=clock.samples, said=said)
 
 
 def repeated(every: int, rate: float = 200.0, n: int = 6000) -> Awkward:
-    """Return samples of which some come twice, with the same stamp and the same values."""
+    """Return samples of which some are repeated with the same stamp and the same values."""
     sample = np.sort(np.concatenate([np.arange(n), np.arange(5, n, every)]))
     return Awkward(
         stamps=even(rate, n=n).stamps[sample], rate_hz=rate, samples=sample, said="duplicate-stamps"
@@ -207,13 +207,13 @@ def _drifting(stamps: IntArray) -> IntArray:
 
 
 def _single(stamps: IntArray) -> IntArray:
-    """Seconds as floats of single precision: their resolution gets worse with every doubling."""
+    """Round the seconds to single precision; the resolution gets worse with every doubling."""
     since = (stamps - START) / SECOND + 100
     return np.round(since.astype(np.float32).astype(np.float64) * SECOND).astype(np.int64)
 
 
 def stopped(rate: float, n: int = 4000, hours: float = 1.0) -> Awkward:
-    """Return a log that was stopped for an hour."""
+    """Return a log with a pause of one hour."""
     sample = np.concatenate([np.arange(n), np.arange(n) + round(hours * 3600 * rate)])
     return Awkward(
         stamps=START + np.round(sample * SECOND / rate).astype(np.int64), rate_hz=rate, samples=sample
@@ -221,13 +221,13 @@ def stopped(rate: float, n: int = 4000, hours: float = 1.0) -> Awkward:
 
 
 def throttled(rate: float, keep: int, of: int, n: int = 6000, **more: object) -> Awkward:
-    """Return a topic of which only some of every few samples pass."""
+    """Return a topic that passes `keep` of every `of` samples."""
     sample = np.flatnonzero(np.arange(n) % of < keep)
     return Awkward(stamps=even(rate, n=n).stamps[sample], rate_hz=rate, samples=sample, **more)  # type: ignore[arg-type]
 
 
 def interpolated(rate: float, camera: float, n: int = 6000) -> Awkward:
-    """Return samples with further ones between them, interpolated at the stamps of a camera."""
+    """Return samples with additional interpolated samples at the stamps of a camera."""
     own = _clock(rate, n)
     other = np.arange(0.0013 * SECOND, own[-1], SECOND / camera)
     times = np.sort(np.concatenate([own, other]))
@@ -247,9 +247,9 @@ def trials(
     seed: int = 7,
     said: str = "",
 ) -> Awkward:
-    """Return trials with sizes of shape (m,), and a pause of so many seconds after each, shape (m,).
+    """Return trials with sizes of shape (m,) and pauses after them in seconds, shape (m,).
 
-    A trial starts at any time: pauses are no whole numbers of periods. `samples` has the nearest places.
+    A trial starts at any time: pauses are not multiples of the period. `samples` has the nearest places.
     """
     trial = np.repeat(np.arange(sizes.size), sizes)
     first = np.cumsum(sizes) - sizes
@@ -262,14 +262,14 @@ def trials(
 
 
 def coarse(rate: float, tick: float, *, n: int = 6000, lost: float = 0.0, seed: int = 8) -> Awkward:
-    """Return samples of a clock whose ticks, in ns, need not be whole, of which a share is lost."""
+    """Return samples with a share lost, stamped by a clock whose ticks in ns need not be integers."""
     kept = np.flatnonzero(np.random.default_rng(seed).random(n) >= lost)
     stamps = np.round(np.floor(kept * (SECOND / rate) / tick + 0.3) * tick).astype(np.int64)
     return Awkward(stamps=START + stamps, rate_hz=rate, samples=kept, said="coarse-stamps")
 
 
 def switched(first_hz: float, then_hz: float, *, n: int = 6000, share: float = 0.5) -> Awkward:
-    """Return samples of a sensor whose rate changes after a share of them."""
+    """Return samples of a sensor that changes its rate after a share of them."""
     steps = np.where(np.arange(n) < share * n, SECOND / first_hz, SECOND / then_hz)
     return Awkward(stamps=_whole(np.cumsum(steps)), rate_hz=first_hz, samples=np.arange(n))
 
@@ -277,7 +277,7 @@ def switched(first_hz: float, then_hz: float, *, n: int = 6000, share: float = 0
 def fused(
     rate: float, *, n: int = 6000, share: float = 0.5, offset: float = 0.4, jitter: float = 0.02
 ) -> Awkward:
-    """Return two sensors under one name, the second of which stops after a share of the log."""
+    """Return two sensors under one name; the second stops after a share of the log."""
     rng = np.random.default_rng(9)
     one = _clock(rate, n)
     two = _clock(rate * 1.0003, round(share * n)) + offset * SECOND / rate
@@ -287,7 +287,7 @@ def fused(
 
 
 def kinds() -> Iterator[tuple[str, Awkward]]:
-    """Yield the kinds of clocks, by name; batches of a buffer come by `fifos`."""
+    """Yield the names and the clocks, without the buffers of `fifos`."""
     for rate in (50.0, 200.0, 1000.0):
         yield f"even {rate:g}", even(rate)
     for share in (0.001, 0.01, 0.05, 0.1, 0.2, 0.3, 0.4):
@@ -344,7 +344,7 @@ def kinds() -> Iterator[tuple[str, Awkward]]:
 
 
 def fifos(sizes: tuple[int, ...] = SIZES) -> Iterator[tuple[str, Awkward]]:
-    """Yield the batches of a buffer: sizes, own ticks, clocks, fixed and random."""
+    """Yield buffers with different batch sizes, stamp intervals, clocks and anchors, fixed and random."""
     for number, size in enumerate(sizes):
         for own_us in (1.0, 10.0, 100.0, 1000.0):
             tick = (1, US, MS)[number % 3]

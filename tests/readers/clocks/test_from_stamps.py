@@ -1,4 +1,4 @@
-"""Clocks from stamps with every trap of real logs: the rate is right, and the finding says what was seen."""
+"""Clocks from stamps with the faults of real logs: the rate is right and the finding names the fault."""
 
 import re
 
@@ -30,12 +30,12 @@ def codes(reading: ClockReading) -> list[str]:
 
 
 def shifted(by: FloatArray) -> IntArray:
-    """Return even stamps with whole ns added."""
+    """Return even stamps with an offset in whole ns added."""
     return EVEN + by.astype(np.int64)
 
 
 def test_even_stamps_are_one_segment() -> None:
-    """Nothing is found where nothing is wrong."""
+    """Even stamps cause no finding."""
     reading = read(EVEN)
     assert reading.clock.rate_hz == pytest.approx(200, rel=1e-12)
     assert [(s.start, s.stop, s.offset) for s in reading.clock.segments] == [(0, N, 0)]
@@ -46,22 +46,22 @@ def test_even_stamps_are_one_segment() -> None:
 
 
 @pytest.mark.parametrize("share", [0.001, 0.05, 0.2, 0.5])
-def test_jitter_neither_moves_the_rate_nor_makes_gaps(share: float) -> None:
-    """White jitter up to half a period; its standard deviation is measured."""
+def test_jitter_changes_neither_rate_nor_gaps(share: float) -> None:
+    """The jitter is white, up to half a period; its standard deviation is measured."""
     jitter = np.random.default_rng(1).normal(0, share * TAU, N)
     reading = read(shifted(jitter))
-    # Least squares over n samples: sigma sqrt(12) / n^1.5 of a period, times four.
+    # The slope of least squares over n samples has the error sigma sqrt(12) / n^1.5 periods; times four.
     tolerance = 4 * share * np.sqrt(12) / N**1.5
     assert reading.clock.rate_hz == pytest.approx(200, rel=max(tolerance, 1e-12))
     assert reading.clock.missing == 0
     assert reading.clock.n == N
-    # A standard deviation of n values is good to 1 / sqrt(2 n).
+    # The relative standard error of a standard deviation of n values is 1 / sqrt(2 n).
     assert reading.clock.jitter_s == pytest.approx(share * TAU / 1e9, rel=4 / np.sqrt(2 * N))
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.02, 0.1])
-def test_finds_gaps(jitter: float) -> None:
-    """Gaps of 100, 1 and 2 samples, at their places."""
+def test_gaps_are_found_at_their_places(jitter: float) -> None:
+    """Their sizes are 100, 1 and 2 samples."""
     noise = np.random.default_rng(2).normal(0, jitter * TAU, N)
     kept = np.delete(shifted(noise), [*range(1000, 1100), 5000, 9000, 9001])
     reading = read(kept)
@@ -77,7 +77,7 @@ def test_finds_gaps(jitter: float) -> None:
 @pytest.mark.parametrize("share", [0.05, 0.3, 0.5])
 @pytest.mark.parametrize("jitter", [0.0, 0.02])
 def test_random_losses_do_not_lower_the_rate(share: float, jitter: float) -> None:
-    """Even with every second sample lost the period is that of the sensor, and all losses are counted."""
+    """Even if half of the samples are lost, the period is the sensor's and all losses are counted."""
     rng = np.random.default_rng(3)
     kept = rng.random(N) > share
     kept[[0, -1]] = True
@@ -89,7 +89,7 @@ def test_random_losses_do_not_lower_the_rate(share: float, jitter: float) -> Non
 
 @pytest.mark.parametrize(("size", "inner"), [(5, 1_000_000), (10, 100_000), (5, 0), (20, 0), (2, 100_000)])
 def test_bursts_are_spread_evenly(size: int, inner: int) -> None:
-    """Samples that arrive together: the median step is wrong by any factor, the rate is not."""
+    """If samples arrive together the median step is wrong, but the rate is right."""
     stamps = START + PLACE // size * size * TAU + PLACE % size * inner
     reading = read(stamps)
     assert reading.clock.rate_hz == pytest.approx(200, rel=1e-5)
@@ -99,17 +99,17 @@ def test_bursts_are_spread_evenly(size: int, inner: int) -> None:
 
 
 def test_a_gap_between_bursts_is_found() -> None:
-    """A thousand samples are missing, not one burst more or less."""
+    """The gap is a thousand samples, accurate to one burst."""
     stamps = START + PLACE // 10 * 10 * TAU + PLACE % 10 * 100_000
     reading = read(np.delete(stamps, np.s_[8000:9000]))
     assert reading.clock.rate_hz == pytest.approx(200, rel=1e-4)
     (gap,) = reading.clock.gaps
-    # The place within a burst is not known.
+    # The position of a sample within a burst is unknown.
     assert gap.missing == pytest.approx(1000, abs=10)
 
 
 def test_a_stall_that_catches_up_is_no_gap() -> None:
-    """Two hundred samples come late and at once: they are late, none is missing."""
+    """Two hundred samples arrive late and at once, but none is missing."""
     stamps = EVEN.copy()
     stamps[3000:3200] = EVEN[3200] - np.arange(200)[::-1] * 10_000
     reading = read(stamps)
@@ -117,8 +117,8 @@ def test_a_stall_that_catches_up_is_no_gap() -> None:
     assert reading.clock.missing == 0
 
 
-def test_doubled_stamps_are_dropped() -> None:
-    """A sample with the stamp of the one before has no place on the grid."""
+def test_samples_with_a_repeated_stamp_are_dropped() -> None:
+    """A sample with the stamp of its predecessor has no place on the grid."""
     doubled = np.sort(np.random.default_rng(4).choice(np.arange(10, N, 40), 50, replace=False))
     stamps = np.insert(EVEN, doubled, EVEN[doubled])
     reading = read(stamps)
@@ -129,8 +129,8 @@ def test_doubled_stamps_are_dropped() -> None:
     assert "duplicate-stamps" in codes(reading)
 
 
-def test_a_log_recorded_twice_is_read_once() -> None:
-    """Every message twice: the reader knows that values repeat too."""
+def test_repeated_messages_are_read_once() -> None:
+    """Every message is repeated; the reader passes the information that the values repeat too."""
     stamps = np.repeat(EVEN, 2)
     repeated = np.arange(2 * N) % 2 == 1
     reading = clock_from_stamps(stamps, source="header stamp", repeated=repeated)
@@ -142,8 +142,8 @@ def test_a_log_recorded_twice_is_read_once() -> None:
 
 
 @pytest.mark.parametrize("jump_s", [-3600, 3600, -0.5, 1.6e9])
-def test_a_clock_that_is_set_is_no_gap(jump_s: float) -> None:
-    """The log time shows that nothing is missing; the samples before and after are not joined."""
+def test_setting_the_clock_is_no_gap(jump_s: float) -> None:
+    """The log time shows that no sample is missing. The two parts become two segments."""
     stamps = EVEN + (PLACE >= N // 2) * int(jump_s * 1e9)
     reading = read(stamps, EVEN + 1000)
     assert reading.clock.rate_hz == pytest.approx(200, rel=1e-9)
@@ -153,16 +153,16 @@ def test_a_clock_that_is_set_is_no_gap(jump_s: float) -> None:
     assert f"once, at most by {jump_s + 0.005:+.6g} s at sample {N // 2}" in jump.text
 
 
-def test_a_jump_of_years_is_no_gap_without_log_time() -> None:
-    """From 1970 to today in the middle of a log."""
+def test_without_log_time_a_jump_of_years_is_no_gap() -> None:
+    """The clock jumps from 1970 to the current time in the middle of the log."""
     reading = read(EVEN - START + TAU + (PLACE >= N // 2) * START)
     assert "clock-jump" in codes(reading)
     assert reading.clock.duration_s < 101
 
 
 @pytest.mark.parametrize("value", [0, 5])
-def test_stamps_that_never_change_are_replaced_by_log_time(value: int) -> None:
-    """And the source says so."""
+def test_constant_stamps_are_replaced_by_log_time(value: int) -> None:
+    """The source of the clock and a finding report the replacement."""
     reading = read(np.full(N, value), EVEN)
     assert reading.clock.source == "log time"
     assert reading.clock.rate_hz == pytest.approx(200, rel=1e-12)
@@ -172,14 +172,14 @@ def test_stamps_that_never_change_are_replaced_by_log_time(value: int) -> None:
     assert reading.findings[0].text == text
 
 
-def test_some_zero_stamps_switch_to_log_time() -> None:
-    """More than one percent of zeros."""
+def test_two_percent_of_zero_stamps_switch_to_log_time() -> None:
+    """The limit is one percent."""
     stamps = np.where(PLACE % 50 == 0, 0, EVEN)
     assert read(stamps, EVEN).clock.source == "log time"
 
 
-def test_one_percent_of_zeros_is_filled() -> None:
-    """Only more than that makes the stamps useless."""
+def test_one_percent_of_zero_stamps_is_interpolated() -> None:
+    """Above that share, the log time is used instead."""
     stamps = EVEN[:200].copy()
     stamps[[5, 6]] = 0
     assert codes(read(stamps, EVEN[:200])) == ["zero-stamps"]
@@ -187,8 +187,8 @@ def test_one_percent_of_zeros_is_filled() -> None:
     assert codes(read(stamps, EVEN[:200])) == ["log-time-used"]
 
 
-def test_stamps_that_go_back_are_replaced_by_log_time() -> None:
-    """One sample can not tell."""
+def test_decreasing_stamps_are_replaced_by_log_time() -> None:
+    """A single sample has no direction and is refused."""
     reading = read(EVEN[:9][::-1], EVEN[:9])
     assert [note.text.partition(";")[0] for note in reading.findings] == [
         "The time stamps (header stamp) do not increase"
@@ -198,8 +198,8 @@ def test_stamps_that_go_back_are_replaced_by_log_time() -> None:
         read(EVEN[:1], EVEN[:1])
 
 
-def test_a_single_zero_stamp_is_filled() -> None:
-    """It loses nothing but its stamp."""
+def test_single_zero_stamps_are_interpolated() -> None:
+    """Their samples are kept."""
     stamps = EVEN.copy()
     stamps[[0, 77]] = 0
     reading = read(stamps, EVEN)
@@ -210,8 +210,7 @@ def test_a_single_zero_stamp_is_filled() -> None:
 
 
 @pytest.mark.parametrize("offset", [1e12, -1e12, 1e18])
-def test_a_single_wrong_stamp_moves_nothing(offset: float) -> None:
-    """One stamp is far off; its sample stays in its place."""
+def test_a_single_wrong_stamp_changes_neither_rate_nor_places(offset: float) -> None:
     stamps = EVEN.copy()
     stamps[4000] += int(offset)
     reading = read(stamps)
@@ -222,10 +221,10 @@ def test_a_single_wrong_stamp_moves_nothing(offset: float) -> None:
 
 @pytest.mark.parametrize("rate", [200, 300, 400, 600, 700, 1000, 1600, 3200])
 def test_millisecond_stamps_give_the_rate(rate: int) -> None:
-    """Stamps in whole ms, however few of them fall into a period."""
+    """Several samples can share one stamp in whole ms."""
     stamps = START + (PLACE * 1000 // rate) * 1_000_000
     reading = read(stamps)
-    # Rounding to 1 ms over the whole log.
+    # The stamps are rounded to 1 ms; the rate averages over the complete log.
     assert reading.clock.rate_hz == pytest.approx(rate, rel=2e-6 * rate / 200)
     assert reading.clock.missing == 0
     assert reading.clock.n == N
@@ -234,7 +233,7 @@ def test_millisecond_stamps_give_the_rate(rate: int) -> None:
 
 
 def test_swapped_stamps_keep_the_order_of_the_log() -> None:
-    """Samples are not sorted by stamps that jitter."""
+    """Samples are not sorted by stamps, because stamps have jitter."""
     stamps = EVEN.copy()
     stamps[100::50], stamps[101::50] = EVEN[101::50], EVEN[100::50]
     reading = read(stamps)
@@ -244,14 +243,14 @@ def test_swapped_stamps_keep_the_order_of_the_log() -> None:
 
 
 def test_a_throttled_topic_shows_the_missing_third() -> None:
-    """Two of three samples of a 200 Hz sensor, regularly."""
+    """The topic contains two of three samples of a 200 Hz sensor."""
     reading = read(EVEN[PLACE % 3 != 2])
     assert reading.clock.rate_hz == pytest.approx(200, rel=1e-9)
     assert reading.clock.missing == len(EVEN[PLACE % 3 == 2]) - (N % 3 == 0)
 
 
 def test_a_given_rate_is_used_and_a_wrong_one_reported() -> None:
-    """The caller knows better, but is told what the stamps say."""
+    """The user's rate is used; the finding reports the rate of the stamps."""
     reading = read(EVEN, rate=100.0)
     assert reading.clock.rate_hz == 100.0
     assert (
@@ -260,21 +259,19 @@ def test_a_given_rate_is_used_and_a_wrong_one_reported() -> None:
     )
 
 
-def test_a_given_rate_makes_up_for_missing_stamps() -> None:
-    """Without any clock but with a rate."""
+def test_a_given_rate_replaces_missing_stamps() -> None:
     reading = read(np.zeros(10, dtype=np.int64), rate=50.0)
     assert reading.clock.rate_hz == 50.0
     assert reading.clock.source == "given rate"
 
 
 @pytest.mark.parametrize("n", [2, 3, 10, 31])
-def test_short_logs_have_a_rate(n: int) -> None:
-    """Two samples are enough."""
+def test_two_samples_give_a_rate(n: int) -> None:
     assert read(EVEN[:n]).clock.rate_hz == pytest.approx(200)
 
 
-def test_refuses_stamps_without_a_rate() -> None:
-    """No sample, one sample, stamps that stand still."""
+def test_stamps_without_a_rate_are_refused() -> None:
+    """Cases: no sample, one sample, and constant stamps."""
     with pytest.raises(
         DataError, match=re.escape("no samples to take the header stamp of; expected at least two")
     ):
@@ -287,23 +284,21 @@ def test_refuses_stamps_without_a_rate() -> None:
         read(np.zeros(9, dtype=np.int64))
 
 
-def test_refuses_noise() -> None:
-    """Stamps that go back all the time are no clock."""
+def test_random_stamps_are_refused() -> None:
     stamps = START + np.random.default_rng(5).integers(0, 10**15, N)
     with pytest.raises(DataError, match="expected a clock"):
         read(stamps)
 
 
-def test_slow_drift_makes_no_gap() -> None:
-    """Ten ppm of wander over the log."""
+def test_a_slow_drift_of_the_clock_is_no_gap() -> None:
+    """The drift is 10 ppm over the log."""
     wander = np.cumsum(TAU * 1e-5 * np.sin(PLACE / 3000))
     reading = read(shifted(wander))
     assert reading.clock.missing == 0
     assert reading.clock.rate_hz == pytest.approx(200, rel=2e-5)
 
 
-def test_gaps_are_found_across_blocks() -> None:
-    """Far more samples than one block of work holds."""
+def test_gaps_are_found_in_logs_of_several_blocks() -> None:
     n = 300_000
     stamps = START + np.arange(n) * TAU + np.random.default_rng(6).normal(0, 0.05 * TAU, n).astype(np.int64)
     lost = [*range(65_530, 65_540), 131_072, 200_000]
@@ -311,8 +306,8 @@ def test_gaps_are_found_across_blocks() -> None:
     assert [gap.missing for gap in reading.clock.gaps] == [10, 1, 1]
 
 
-def test_repeated_samples_have_the_stamp_and_all_values_of_the_one_before() -> None:
-    """In any block; a stamp of zero is none, and tells nothing."""
+def test_a_repeated_sample_has_the_stamp_and_all_values_of_its_predecessor() -> None:
+    """A stamp of zero is missing and proves no repetition."""
     stamps = np.array([1, 1, 2, 2, 3, 3, 0, 0])
     rows = np.array([[5.0, 5, 6, 6, 7, 7, 8, 8], [1.0, 1, 1, 2, 2, 2, 2, 2]])
     found = repeats(stamps, rows)

@@ -1,4 +1,4 @@
-"""Each sample's place: the edges of what counts as missing, doubled, set back or wrong."""
+"""Places of samples on the grid: limits for missing, doubled and wrong stamps and for clock resets."""
 
 import numpy as np
 import numpy.testing as npt
@@ -27,7 +27,7 @@ PERIOD = Period(tau_ns=float(TAU), jitter=0.0, burst=1, resolution_ns=1)
 
 
 def late(at: int, by: int) -> IntArray:
-    """Return even stamps of which all from one on come later."""
+    """Return even stamps that are later by `by` from sample `at` on."""
     return EVEN + (np.arange(EVEN.size) >= at) * by
 
 
@@ -37,13 +37,13 @@ def late(at: int, by: int) -> IntArray:
     [
         (EVEN, (0, 0, [], True)),
         (EVEN[:1], (0, 0, [], True)),
-        # Half a period less and half a period more are even, a nanosecond beyond is not.
+        # Steps within half a period of the expected one are even; a nanosecond more is not.
         (late(100, -500), (0, 0, [], True)),
         (late(100, -501), (0, 0, [], False)),
         (late(100, 500), (0, 0, [], True)),
         (late(100, 501), (0, 0, [], False)),
         (late(100, -1000), (1, 0, [], False)),
-        # Less than half a period back is jitter.
+        # A step back of less than half a period is jitter.
         (late(100, -1001), (0, 1, [], False)),
         (late(100, -1500), (0, 1, [], False)),
         (late(100, -10_000), (0, 1, [100], False)),
@@ -51,21 +51,21 @@ def late(at: int, by: int) -> IntArray:
         (late(198, -10_000), (0, 1, [198], False)),
         (late(199, -10_000), (0, 1, [199], False)),
         (late(100, -10_000) - (np.arange(200) > 100) * 600, (0, 1, [100], False)),
-        # A clock set back by few samples has caught up after five.
+        # A clock that is set back by five samples has caught up after five.
         (late(100, -5_000), (0, 1, [], False)),
         (late(100, -5_001), (0, 1, [100], False)),
-        # One stamp that is wrong is no reset.
+        # A single wrong stamp is no reset.
         (late(100, 50_000) - (np.arange(200) > 100) * 50_000, (0, 1, [], False)),
         (late(64, -10_000) + (np.arange(200) >= 128) * -10_000, (0, 2, [64, 128], False)),
     ],
 )
-def test_steps(
+def test_steps_are_classified_the_same_in_blocks_of_any_size(
     stamps: IntArray,
     expected: tuple[int, int, list[int], bool],
     block: int,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Equal stamps, stamps out of order, and where the clock went back for good; in blocks of any size."""
+    """Steps are equal, out of order, or permanent resets of the clock."""
     monkeypatch.setattr(placing, "BLOCK", block)
     found = step_statistics(stamps, float(TAU))
     assert (found.same, found.back, found.resets.tolist(), found.even) == expected
@@ -88,18 +88,18 @@ def test_steps(
         (late(100, -1000), [[], [], [100]]),
         (late(50, -1000) + (np.arange(200) >= 150) * -1000, [[], [], [50, 150]]),
         (late(50, 1000) + (np.arange(200) >= 150) * -1000, [[50], [1], [150]]),
-        # Late once, and caught up at the next.
+        # One stamp is late; the next one is on time.
         (EVEN + (np.arange(200) == 100) * 900, [[], [], []]),
         (EVEN - (np.arange(200) == 100) * 900, [[], [], []]),
     ],
 )
-def test_breaks(
+def test_a_permanent_shift_of_half_a_period_is_a_break(
     stamps: IntArray,
     expected: list[list[int]],
     block: int,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """More than half a period for good is a sample more or less, wherever blocks of work end."""
+    """The result does not depend on the size of the blocks."""
     monkeypatch.setattr(placing, "BLOCK", block)
     monkeypatch.setattr(placing, "REACH", min(block, 1 << 13))
     found = find_breaks(stamps, PERIOD)
@@ -112,13 +112,13 @@ def test_breaks(
         (0.08, 300, 1230, 1),
         (0.089, 300, 1230, 1),
         (0.091, 300, 1230, 2),
-        # However much the stamps jitter, no more than 0.3 samples of it count.
+        # The allowance for jitter is at most 0.3 samples.
         (0.2, 300, 1210, 2),
         (0.2, 330, 1190, 1),
     ],
 )
 def test_jitter_hides_some_missing_samples(jitter: float, early: int, by: int, missing: int) -> None:
-    """A gap after an early stamp looks longer than it is: three times the jitter is believed of it."""
+    """A gap after an early stamp looks too long, so three times the jitter is subtracted."""
     stamps = late(100, by)
     stamps[99] -= early
     found = find_breaks(stamps, Period(tau_ns=float(TAU), jitter=jitter, burst=1, resolution_ns=1))
@@ -126,8 +126,8 @@ def test_jitter_hides_some_missing_samples(jitter: float, early: int, by: int, m
 
 
 @pytest.mark.parametrize(("lost", "missing"), [(1, []), (2, [3]), (3, [4]), (6, [7])])
-def test_breaks_between_bursts(lost: int, missing: list[int]) -> None:
-    """Samples that come three at a time: a stamp may be a sample late, so a gap is known to one."""
+def test_gaps_between_bursts_are_accurate_to_one_sample(lost: int, missing: list[int]) -> None:
+    """Samples arrive in threes, so a stamp may be one sample late."""
     stamps = np.repeat(np.arange(100, dtype=np.int64) * 3 * TAU, 3)
     stamps[150:] += lost * TAU
     period = Period(tau_ns=float(TAU), burst=3, pause_ns=1.5 * TAU, loose=1.0)
@@ -139,8 +139,7 @@ def test_breaks_between_bursts(lost: int, missing: list[int]) -> None:
     assert [size - lost in {0, 1} for size in found.missing.tolist()] == [True] * len(missing)
 
 
-def test_extremes_before_a_place() -> None:
-    """Of so many values before it, itself left out."""
+def test_running_extremes_exclude_the_current_value() -> None:
     x = np.array([5.0, 1.0, 4.0, 2.0, 3.0, 0.0])
     for width in range(1, 6):
         for better, best in ((np.maximum, max), (np.minimum, min)):
@@ -148,8 +147,8 @@ def test_extremes_before_a_place() -> None:
             assert _extreme(x, better, width).tolist() == expected
 
 
-def test_the_lowest_from_a_place_on() -> None:
-    """Of as many values as the next power of two, to the end at most."""
+def test_the_minimum_covers_a_power_of_two_of_values() -> None:
+    """The number of values is rounded up to a power of two and ends with the data."""
     x = np.array([5.0, 4.0, 6.0, 2.0, 3.0, 0.0])
     reach = [0, 1, 2, 3, 4, 5]
     found = [_lowest_after(x, np.array([0]), np.array([n])).tolist() for n in reach]
@@ -157,8 +156,8 @@ def test_the_lowest_from_a_place_on() -> None:
     assert _lowest_after(x, np.array([1, 4]), np.array([1, 9])).tolist() == [4.0, 0.0]
 
 
-def test_the_period_between_breaks() -> None:
-    """Gaps of known size tell of the period, longer ones, doubled samples and resets begin anew."""
+def test_short_gaps_contribute_to_the_period() -> None:
+    """Longer gaps, doubled samples and resets start a new run."""
     true = np.arange(400, dtype=np.int64) * 1010
     kept = np.delete(true, [*range(100, 103), *range(200, 260)])
     breaks = Breaks(at=np.array([100, 197]), missing=np.array([3, 60]), doubled=NONE)
@@ -166,7 +165,7 @@ def test_the_period_between_breaks() -> None:
         assert fit_period(kept, 1000.0, breaks, NONE, longest=longest) == pytest.approx(
             (1010.0, 0.0), abs=1e-4
         )
-    # A wrong size of the longer gap is believed only where it is asked for.
+    # A wrong size of the longer gap matters only if `longest` includes the gap.
     wrong = Breaks(at=breaks.at, missing=np.array([3, 50]), doubled=NONE)
     assert fit_period(kept, 1000.0, wrong, NONE, longest=49)[0] == pytest.approx(1010.0)
     assert fit_period(kept, 1000.0, wrong, NONE, longest=50)[0] > 1020
@@ -177,8 +176,8 @@ def test_the_period_between_breaks() -> None:
     assert fit_period(doubled, 1000.0, again, NONE, longest=10)[0] == pytest.approx(1010.0)
 
 
-def test_what_is_left_after_the_period() -> None:
-    """The standard deviation has the samples less the runs to divide by; one sample has none."""
+def test_the_jitter_is_the_standard_deviation_of_the_residuals() -> None:
+    """The degrees of freedom are samples minus runs; a single sample has no deviation."""
     stamps = EVEN + np.where(np.arange(200) % 2, 30, -30)
     tau, jitter = fit_period(stamps, 1000.0, NO_BREAKS, NONE, longest=10)
     assert tau == pytest.approx(1000.0, abs=0.01)
@@ -187,8 +186,8 @@ def test_what_is_left_after_the_period() -> None:
     assert fit_period(EVEN[:1], 1000.0, NO_BREAKS, NONE, longest=10) == (1000.0, 0.0)
 
 
-def test_a_stamp_that_is_far_off_has_no_weight() -> None:
-    """One of two hundred moves neither period nor jitter."""
+def test_an_outlier_stamp_has_no_weight() -> None:
+    """One outlier among 200 stamps changes neither the period nor the jitter."""
     stamps = EVEN + np.where(np.arange(200) % 2, 30, -30)
     expected = fit_period(stamps, 1000.0, NO_BREAKS, NONE, longest=10)
     for by in (10**9, -(10**9)):
@@ -206,8 +205,8 @@ def test_a_stamp_that_is_far_off_has_no_weight() -> None:
         ([0, 10, 30], [-10, 10, 30]),
     ],
 )
-def test_zero_stamps_are_filled(stamps: list[int], filled: list[int]) -> None:
-    """Between neighbours, and evenly on at both ends."""
+def test_zero_stamps_are_interpolated(stamps: list[int], filled: list[int]) -> None:
+    """At both ends they are extrapolated with the period."""
     assert _filled(np.array(stamps, dtype=np.int64), Room()).tolist() == filled
 
 
@@ -217,12 +216,12 @@ DAY = 86_400 * 10**9
 @pytest.mark.parametrize(
     ("step", "missing", "log_step", "expected"),
     [
-        # Without log time: more than a day, and more than ten times the log.
+        # Without log time: the limits are one day and ten times the duration of the log.
         (DAY, 1000, None, None),
         (DAY + 1, 1000, None, 1),
         (DAY + 1, 9, None, None),
         (DAY + 1, 10, None, 1),
-        # With it: less than half of what the stamps say, and more than a second.
+        # With log time: the limits are half of the stamps' step and one second.
         (10**9 + 1, 100, 50 * TAU, 49),
         (10**9, 100, 50 * TAU, None),
         (10**9 + 1, 100, 51 * TAU, None),
@@ -231,10 +230,10 @@ DAY = 86_400 * 10**9
         (DAY + 1, 100, 101 * TAU, None),
     ],
 )
-def test_a_gap_or_a_setting_of_the_clock(
+def test_a_step_of_the_stamps_is_a_gap_unless_the_clock_was_set(
     step: int, missing: int, log_step: int | None, expected: int | None
 ) -> None:
-    """What the stamps skip is missing, unless the log time or common sense says that the clock was set."""
+    """The clock was set if the log time, or an implausible duration, contradicts the step."""
     stamps = late(100, step - TAU)
     log = None if log_step is None else late(100, log_step - TAU)
     breaks = Breaks(at=np.array([100]), missing=np.array([missing]), doubled=NONE)
@@ -244,8 +243,8 @@ def test_a_gap_or_a_setting_of_the_clock(
     npt.assert_array_equal(breaks.missing, [missing])
 
 
-def test_a_long_log_may_have_long_gaps() -> None:
-    """Ten times what it holds, where that is more than a day."""
+def test_a_long_log_can_have_long_gaps() -> None:
+    """The limit is ten times the duration of the log if that is more than a day."""
     tau = float(DAY)
     breaks = Breaks(at=np.array([2]), missing=np.array([29]), doubled=NONE)
     for more, wrong in ((0, False), (1, True)):
@@ -254,15 +253,15 @@ def test_a_long_log_may_have_long_gaps() -> None:
 
 
 def test_log_time_gives_the_missing_samples_at_a_reset() -> None:
-    """At least one sample, and just one without log time."""
+    """Without log time, exactly one sample is missing; with it, at least one."""
     reset = np.array([100])
     assert _believable(EVEN, None, NO_BREAKS, reset, float(TAU))[1] == {100: 1}
     assert _believable(EVEN, EVEN, NO_BREAKS, reset, float(TAU))[1] == {100: 1}
     assert _believable(EVEN, late(100, 4 * TAU), NO_BREAKS, reset, float(TAU))[1] == {100: 4}
 
 
-def test_runs_between_breaks() -> None:
-    """Numbered in the samples that are kept, placed on the grid of all."""
+def test_segments_lie_between_breaks() -> None:
+    """They count the kept samples; their offsets count all samples of the grid."""
     breaks = Breaks(at=np.array([3, 8]), missing=np.array([2, 5]), doubled=np.array([6, 1]))
     assert _segments(12, breaks, breaks.missing, {10: 4}) == (
         Segment(start=0, stop=2, offset=0),
@@ -270,7 +269,7 @@ def test_runs_between_breaks() -> None:
         Segment(start=6, stop=8, offset=13),
         Segment(start=8, stop=10, offset=19),
     )
-    # A doubled sample right behind a break leaves nothing between.
+    # A doubled sample right after a break leaves an empty segment, which is omitted.
     one = Breaks(at=np.array([1, 2]), missing=np.array([3, 4]), doubled=np.array([1]))
     assert _segments(3, one, one.missing, {}) == (
         Segment(start=0, stop=1, offset=0),
@@ -278,8 +277,8 @@ def test_runs_between_breaks() -> None:
     )
 
 
-def test_each_stretch_between_settings_of_the_clock_is_looked_at_by_itself() -> None:
-    """A setting is no break, and what is missing or doubled lies where it lies in all."""
+def test_stretches_between_clock_settings_are_searched_separately() -> None:
+    """A setting is no break, and the found places refer to the complete log."""
     first = late(50, 3000)
     second = late(150, -1000) - 10**9
     both = np.concatenate([first, second])
@@ -289,7 +288,7 @@ def test_each_stretch_between_settings_of_the_clock_is_looked_at_by_itself() -> 
 
 @pytest.mark.parametrize("longest", [2, 3])
 def test_a_period_is_the_slope_of_the_stamps(longest: int) -> None:
-    """Gaps of up to `longest` samples count as what they are; behind others a level of its own begins."""
+    """Gaps of up to `longest` samples have their known size; longer ones start a new level."""
     places = np.arange(200) + 3 * (np.arange(200) >= 50)
     stamps = np.round(places * 1003.5).astype(np.int64)
     breaks = Breaks(at=np.array([50]), missing=np.array([3]), doubled=NONE)
@@ -302,8 +301,8 @@ def test_a_period_is_the_slope_of_the_stamps(longest: int) -> None:
 
 
 @pytest.mark.parametrize("step", [-5e8, 0.0])
-def test_batches_that_do_not_advance_have_no_beat(step: float) -> None:
-    """Stamps of a damaged file may run backwards, or repeat, from batch to batch."""
+def test_batches_with_constant_or_decreasing_stamps_have_no_beat(step: float) -> None:
+    """Damaged files can contain such stamps."""
     starts = step * np.repeat(np.arange(20), 10)
     run = (starts + 1e6 * np.tile(np.arange(10), 20)).astype(np.int64)
     assert _beat([run], 5e6, 10.0) == (0.0, 0.0, 0)

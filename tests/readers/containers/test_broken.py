@@ -1,4 +1,4 @@
-"""Broken logs of known damage: what is whole is read, and how much was lost is said."""
+"""Logs with known damage: intact data are read, and the amount of lost data is reported."""
 
 import shutil
 import sqlite3
@@ -32,12 +32,12 @@ def rows(recording: Recording) -> np.ndarray[tuple[int, ...], np.dtype[np.float6
 
 
 def codes(recording: Recording) -> set[str]:
-    """Return the codes of findings."""
+    """Return the codes of the findings."""
     return {finding.code for finding in recording.findings}
 
 
 def cut(path: Path, size: int) -> Path:
-    """Cut a copy of a file to a size."""
+    """Write a copy of a file that is cut to a size, and return its path."""
     copy = path.with_name(f"{size}-{path.name}")
     copy.write_bytes(path.read_bytes()[:size])
     return copy
@@ -45,7 +45,7 @@ def cut(path: Path, size: int) -> Path:
 
 @pytest.mark.parametrize("name", ["mcap-zstd", "mcap-none", "bag-none", "bag-lz4"])
 def test_a_cut_log_gives_its_first_samples(name: str, tmp_path: Path) -> None:
-    """At forty places: a beginning of the samples, more of them the more of the file is left."""
+    """The log is cut at forty places; a longer file gives at least as many samples."""
     kind, _, compression = name.partition("-")
     ros1 = kind == "bag"
     messages = imu_messages(TRUTH, ros1=ros1)
@@ -69,12 +69,12 @@ def test_a_cut_log_gives_its_first_samples(name: str, tmp_path: Path) -> None:
         counts.append(n)
     assert counts == sorted(counts)
     assert counts[-1] >= 380
-    # What is read grows with the file: at three quarters of it, half of the samples at least.
+    # At three quarters of the file, at least half of the samples are read.
     assert counts[30] >= 200
 
 
 def test_a_cut_database_is_refused(tmp_path: Path) -> None:
-    """SQLite reads no part of it; the message shows how to recover it."""
+    """SQLite can't read part of a database; the error explains how to recover it."""
     path = next(write_db3(tmp_path / "bag", imu_messages(TRUTH)).glob("*.db3"))
     size = path.stat().st_size
     for share in np.linspace(0.02, 0.999, 20):
@@ -89,10 +89,10 @@ def test_a_cut_database_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("compression", ["none", "message"])
 def test_a_damaged_page_of_a_database_loses_its_messages(compression: str, tmp_path: Path) -> None:
-    """Their number is reported."""
+    """The number of lost messages is reported."""
     path = next(write_db3(tmp_path / "bag", imu_messages(TRUTH), compression=compression).glob("*.db3"))
     data = path.read_bytes()
-    # Leaf pages of a table start with 13; the last ones contain no definitions.
+    # Leaf pages of a table start with 13; the last ones contain no message definitions.
     at = [at for at in range(0, len(data), 4096) if data[at] == 13][-5]
     path.write_bytes(data[:at] + bytes(4096) + data[at + 4096 :])
     recording = read(path)
@@ -106,8 +106,7 @@ def test_a_damaged_page_of_a_database_loses_its_messages(compression: str, tmp_p
     assert f"; about {lost} messages are lost." in damage.text
 
 
-def test_says_how_much_of_a_cut_file_is_lost(tmp_path: Path) -> None:
-    """In bytes of the file."""
+def test_the_lost_bytes_of_a_cut_file_are_reported(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH), compression="none")
     copy = cut(path, path.stat().st_size // 2)
     finding = read(copy).findings[0]
@@ -119,8 +118,8 @@ def test_says_how_much_of_a_cut_file_is_lost(tmp_path: Path) -> None:
     assert finding.text.endswith(f" of {copy.stat().st_size} bytes are cut off or damaged.")
 
 
-def test_the_zeros_of_a_crash_end_a_file(tmp_path: Path) -> None:
-    """File systems leave them where data were not written yet."""
+def test_zeros_after_a_crash_are_the_end_of_the_log(tmp_path: Path) -> None:
+    """File systems leave zeros if the data were not written before the crash."""
     path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH))
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 2] + bytes(10_000))
@@ -141,7 +140,7 @@ def test_the_zeros_of_a_crash_end_a_file(tmp_path: Path) -> None:
     ids=lambda options: next(iter(options)),
 )
 def test_reads_mcap_without_index(options: dict[str, Any], tmp_path: Path) -> None:
-    """Writers may leave out chunks, indexes, and the summary."""
+    """Some writers omit chunks, indexes or the summary."""
     if "index_types" in options:
         from mcap.writer import IndexType
 
@@ -153,7 +152,7 @@ def test_reads_mcap_without_index(options: dict[str, Any], tmp_path: Path) -> No
 
 
 def chunk_of(path: Path, number: int) -> tuple[int, int]:
-    """Return where the data of an MCAP chunk start, and their size."""
+    """Return the offset and the size of a chunk's data in an MCAP file."""
     from mcap.reader import make_reader
 
     with path.open("rb") as file:
@@ -165,7 +164,7 @@ def chunk_of(path: Path, number: int) -> tuple[int, int]:
 
 @pytest.mark.parametrize("compression", ["none", "zstd", "lz4"])
 def test_a_chunk_with_a_wrong_checksum_is_left_out(compression: str, tmp_path: Path) -> None:
-    """Its samples are a gap, and their number is told."""
+    """The lost samples are reported as a gap with their number."""
     path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH), compression=compression)
     start, size = chunk_of(path, 3)
     data = bytearray(path.read_bytes())
@@ -185,12 +184,12 @@ def test_a_chunk_with_a_wrong_checksum_is_left_out(compression: str, tmp_path: P
     )
 
 
-def test_a_wrong_message_index_is_walked_around(tmp_path: Path) -> None:
-    """The chunk itself says where its records are."""
+def test_a_wrong_message_index_is_ignored(tmp_path: Path) -> None:
+    """The chunk itself contains the lengths of its records."""
     path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH), compression="none")
     start, size = chunk_of(path, 1)
     data = bytearray(path.read_bytes())
-    # Opcode, length, channel and size stand before the entries of time and offset.
+    # Opcode, length, channel and size come before the entries of time and offset.
     struct.pack_into("<Q", data, start + size + 15 + 8, 12345)
     path.write_bytes(data)
     recording = read(path)
@@ -198,8 +197,8 @@ def test_a_wrong_message_index_is_walked_around(tmp_path: Path) -> None:
     assert "index" in codes(recording)
 
 
-def test_an_index_that_counts_too_few_loses_nothing(tmp_path: Path) -> None:
-    """An index cut in half, with a wrong entry: the chunk holds more messages than there was room for."""
+def test_all_messages_are_read_if_the_index_has_too_few_entries(tmp_path: Path) -> None:
+    """The index is cut in half and has one wrong entry, so the chunk contains more messages than expected."""
     path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH), compression="none")
     start, size = chunk_of(path, 1)
     data = bytearray(path.read_bytes())
@@ -215,7 +214,7 @@ def test_an_index_that_counts_too_few_loses_nothing(tmp_path: Path) -> None:
 
 
 def test_reads_an_unindexed_bag(tmp_path: Path) -> None:
-    """As `rosbag record` leaves it when it is killed: no index section, `.bag.active`."""
+    """A killed `rosbag record` leaves a `.bag.active` file without index section."""
     path = write_bag(tmp_path / "log.bag", imu_messages(TRUTH, ros1=True), compression="lz4")
     data = path.read_bytes()
     at = data.index(b"index_pos=") + len(b"index_pos=")
@@ -231,7 +230,7 @@ def test_reads_an_unindexed_bag(tmp_path: Path) -> None:
 
 
 def test_refuses_an_encrypted_bag(tmp_path: Path) -> None:
-    """The bag header names the plugin."""
+    """The bag's header contains the name of the encryption plugin."""
     head = b"".join(
         len(field).to_bytes(4, "little") + field
         for field in (b"op=\x03", b"index_pos=" + bytes(8), b"encryptor=rosbag/AesCbcEncryptor")
@@ -245,8 +244,8 @@ def test_refuses_an_encrypted_bag(tmp_path: Path) -> None:
     )
 
 
-def test_refuses_an_old_bag(tmp_path: Path) -> None:
-    """ROS had another format before 2010."""
+def test_refuses_a_bag_of_version_1(tmp_path: Path) -> None:
+    """ROS used another format before 2010."""
     path = tmp_path / "old.bag"
     path.write_bytes(b"#ROSBAG V1.2\n" + bytes(100))
     with pytest.raises(ReadError) as caught:
@@ -255,7 +254,7 @@ def test_refuses_an_old_bag(tmp_path: Path) -> None:
 
 
 def test_reads_a_write_ahead_log(tmp_path: Path) -> None:
-    """A recorder that was killed leaves messages in the file beside the database."""
+    """A killed recorder leaves messages in a file next to the database."""
     path = next(write_db3(tmp_path / "bag", imu_messages(TRUTH)).glob("*.db3"))
     base = sqlite3.connect(path)
     base.execute("pragma journal_mode=wal")
@@ -273,7 +272,7 @@ def test_reads_a_write_ahead_log(tmp_path: Path) -> None:
 
 
 def test_a_write_ahead_log_that_can_not_be_read_is_reported(tmp_path: Path) -> None:
-    """The other messages are read."""
+    """The messages in the database are still read."""
     path = next(write_db3(tmp_path / "bag", imu_messages(TRUTH)).glob("*.db3"))
     path.with_name(path.name + "-wal").write_bytes(b"no write-ahead log" * 100)
     recording = read(path)
@@ -282,7 +281,7 @@ def test_a_write_ahead_log_that_can_not_be_read_is_reported(tmp_path: Path) -> N
 
 
 def test_rows_over_several_pages_are_read(tmp_path: Path) -> None:
-    """Pages of 512 bytes hold no message of 330 whole; images of other topics never fit."""
+    """Messages of 330 bytes do not fit in a page of 512 bytes; images never fit in one page."""
     types = store()
     kind = "std_msgs/msg/String"
     big = bytes(types.serialize_cdr(types.types[kind](data="x" * 20_000), kind))
@@ -301,13 +300,13 @@ def test_rows_over_several_pages_are_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("compression", ["none", "zstd", "lz4"])
 def test_claims_of_impossible_sizes_take_no_memory(compression: str, tmp_path: Path) -> None:
-    """A chunk that says it holds an exabyte."""
+    """The chunk's header contains a size of one exabyte."""
     import tracemalloc
 
     path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH), compression=compression)
     start, _ = chunk_of(path, 2)
     data = bytearray(path.read_bytes())
-    # The uncompressed size stands before checksum, name of the compression and size of the data.
+    # The uncompressed size comes before the checksum, the name of the compression and the data's size.
     struct.pack_into("<Q", data, start - 8 - (len(compression) if compression != "none" else 0) - 16, 1 << 60)
     path.write_bytes(data)
     tracemalloc.start()
@@ -319,7 +318,7 @@ def test_claims_of_impossible_sizes_take_no_memory(compression: str, tmp_path: P
 
 
 def test_a_bag_that_claims_billions_of_messages_takes_no_memory(tmp_path: Path) -> None:
-    """The counts of the index section are not believed beyond what the chunk can hold."""
+    """The counts in the index section are limited to the number of messages that fit in the chunk."""
     path = write_bag(tmp_path / "log.bag", imu_messages(TRUTH, ros1=True))
     data = bytearray(path.read_bytes())
     at = data.index(b"index_pos=") + len(b"index_pos=")
@@ -351,7 +350,7 @@ def test_a_bag_that_claims_billions_of_messages_takes_no_memory(tmp_path: Path) 
     ],
 )
 def test_refuses_a_file_of_another_format(name: str, content: bytes, message: str, tmp_path: Path) -> None:
-    """Empty and hollow files."""
+    """The files are empty or have no content after their first bytes."""
     path = tmp_path / name
     path.write_bytes(content)
     for action in (read, describe):
@@ -360,16 +359,15 @@ def test_refuses_a_file_of_another_format(name: str, content: bytes, message: st
         assert str(caught.value).startswith(f"{path}: {message}")
 
 
-def test_says_that_there_is_no_file(tmp_path: Path) -> None:
-    """And why."""
+def test_a_missing_file_is_reported_with_the_reason(tmp_path: Path) -> None:
     path = tmp_path / "nowhere.mcap"
     with pytest.raises(ReadError) as caught:
         read(path)
     assert str(caught.value) == f"{path}: can't be opened: No such file or directory"
 
 
-def test_an_empty_topic_is_reported(tmp_path: Path) -> None:
-    """A bag that was started and stopped."""
+def test_a_log_without_messages_is_refused(tmp_path: Path) -> None:
+    """Such a log remains if the recorder is started and stopped at once."""
     path = write_mcap(tmp_path / "log.mcap", imu_messages(samples(1))[:0])
     with pytest.raises(ReadError) as caught:
         read(path)

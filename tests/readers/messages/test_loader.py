@@ -1,4 +1,4 @@
-"""Chunks into columns: every message in its row, what is damaged lost alone, and what is lost told."""
+"""The loader: messages become rows, damage loses only the damaged messages, losses are reported."""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -18,7 +18,7 @@ TYPES = [np.int64, np.float64]
 
 
 def batch(values: Sequence[int], loss: Loss | None = None) -> Batch:
-    """Return messages that are only their log times."""
+    """Return messages that contain only their log times."""
     starts = np.arange(len(values))
     return Batch(b"", starts, np.zeros_like(starts), np.array(values, np.int64), loss)
 
@@ -26,7 +26,7 @@ def batch(values: Sequence[int], loss: Loss | None = None) -> Batch:
 def task(
     batches: dict[int, Batch], damage: DamagedError | None = None, keys: Sequence[int] = (), wait_s: float = 0
 ) -> Task:
-    """Return a chunk of some batches, or one of more `keys` that can't be read behind them."""
+    """Return a chunk with some batches; `keys` adds channels that can't be read after them."""
 
     def load() -> Iterator[tuple[int, Batch]]:
         time.sleep(wait_s)
@@ -53,7 +53,7 @@ class Decoder:
 
 
 def container(*tasks: Task, parallel: bool = False, counts: Sequence[int] = ()) -> Any:  # noqa: ANN401
-    """Return a container of some tasks, which counts so many messages of each channel, from 1 on."""
+    """Return a container with some tasks and message counts for channels from 1 on."""
 
     def wanted(keys: frozenset[int]) -> Iterator[Task]:
         return (task for task in tasks if keys & task.keys)
@@ -71,14 +71,14 @@ def run(*tasks: Task, decoder: Decoder | None = None, count: int = 0) -> tuple[l
     return found.columns[0].tolist(), found
 
 
-def test_chunks_follow_each_other() -> None:
-    """Each has the rows behind those of the chunks before; other channels have none."""
+def test_chunks_are_concatenated_in_order() -> None:
+    """Messages of other channels are ignored."""
     values, found = run(task({1: batch([1, 2]), 2: batch([9])}), task({2: batch([8])}), task({1: batch([3])}))
     assert (values, found.losses) == ([1, 2, 3], [])
 
 
-def test_streams_and_files_have_rows_of_their_own() -> None:
-    """Two streams of two files: a channel of one is not that of the same number of the other."""
+def test_streams_and_files_are_kept_apart() -> None:
+    """The same channel number means different channels in the two files."""
     files = [
         container(task({1: batch([1, 2]), 2: batch([5])})),
         container(task({1: batch([3]), 2: batch([6, 7])})),
@@ -89,8 +89,8 @@ def test_streams_and_files_have_rows_of_their_own() -> None:
     assert [decoding.columns[0].tolist() for decoding in found] == [[1, 2, 6, 7], [5, 3]]
 
 
-def test_threads_change_nothing() -> None:
-    """The rows are those of the file, whoever writes them; an error is that of the thread."""
+def test_threads_do_not_change_the_result() -> None:
+    """Rows keep the order of the file, and an error in a thread is raised."""
     tasks = [task({1: batch([10 * row, 10 * row + 1])}) for row in range(20)]
     seen: list[tuple[int, int]] = []
     (found,) = decode(
@@ -102,8 +102,8 @@ def test_threads_change_nothing() -> None:
     assert seen == [(10 * (row + 1), 200) for row in range(20)]
 
 
-def test_a_chunk_that_can_not_be_read_loses_its_messages() -> None:
-    """Those of the channels that were not loaded before; the file's own count shows how many."""
+def test_an_unreadable_chunk_loses_its_messages() -> None:
+    """Channels loaded before the damage lose nothing. The file's message count gives the number lost."""
     error = DamagedError("gone", code="crc")
     damaged = task({2: batch([2])}, error, keys=[1])
     values, found = run(task({1: batch([1])}), damaged, task({1: batch([4, -4])}), count=6)
@@ -115,7 +115,7 @@ def test_a_chunk_that_can_not_be_read_loses_its_messages() -> None:
 
 
 def test_without_counts_the_missing_messages_are_unknown() -> None:
-    """Of one channel is enough."""
+    """One channel without a count is enough."""
     stream = Stream(TYPES, {(0, 1): Decoder(), (0, 2): Decoder()})
     (found,) = decode([container(task({1: batch([1])}), counts=[3, None])], [stream])  # type: ignore[list-item]
     assert (found.columns[0].size, found.missing) == (1, None)
@@ -123,13 +123,13 @@ def test_without_counts_the_missing_messages_are_unknown() -> None:
 
 @pytest.mark.parametrize("count", [0, 1, 10**15])
 def test_a_wrong_count_changes_no_sample(count: int) -> None:
-    """It is a hint: memory is reserved for at most as many messages as the file can contain."""
+    """The count is a hint; the file's size limits the memory that is reserved."""
     values, _ = run(task({1: batch([1, 2])}), task({1: batch(range(3, 200_000))}), count=count)
     assert values == list(range(1, 200_000))
 
 
-def test_damaged_messages_are_lost_alone() -> None:
-    """Halves, down to the bad ones: each is told on its own."""
+def test_only_damaged_messages_are_lost() -> None:
+    """A damaged batch is halved until the bad messages are isolated; each is reported."""
     decoder = Decoder()
     values, found = run(task({1: batch([1, 2, -3, 4, 5])}), decoder=decoder)
     assert values == [1, 2, 4, 5]
@@ -139,7 +139,7 @@ def test_damaged_messages_are_lost_alone() -> None:
 
 @pytest.mark.parametrize("code", ["encapsulation", "definition"])
 def test_messages_of_unknown_layout_are_all_lost(code: str) -> None:
-    """Halves of it are not known either."""
+    """An unknown layout is not retried in halves."""
     decoder = Decoder(code)
     values, found = run(task({1: batch([1, -2, 3])}), decoder=decoder)
     assert (values, decoder.calls) == ([], [3])
@@ -147,10 +147,10 @@ def test_messages_of_unknown_layout_are_all_lost(code: str) -> None:
 
 
 @pytest.mark.parametrize(("n", "tried"), [(64, True), (65, False)])
-def test_when_all_of_many_are_damaged_the_next_are_not_halved(n: int, tried: bool) -> None:  # noqa: FBT001
-    """More than 64 of a chunk: the type itself is wrong then, and each message would be tried in vain.
+def test_after_many_damaged_messages_a_batch_is_not_halved_further(n: int, tried: bool) -> None:  # noqa: FBT001
+    """If more than 64 messages of a chunk are damaged, the type is wrong and retries are useless.
 
-    What one chunk is like says nothing of another, which another thread may have read before.
+    The limit counts per chunk, because another thread may have read other chunks first.
     """
     values, found = run(task({1: batch([-1] * n + [7] + [-1] * (n - 1))}), task({1: batch([-1, 8])}))
     assert values == ([7, 8] if tried else [8])
@@ -158,8 +158,8 @@ def test_when_all_of_many_are_damaged_the_next_are_not_halved(n: int, tried: boo
 
 
 def test_losses_do_not_depend_on_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They are in the order of the chunks, and the first ones are kept."""
-    # Of two neighbours the first takes longer.
+    """They keep the order of the chunks, and the first ones are kept."""
+    # The first of two neighbours takes longer.
     tasks = [task({1: batch([1])}), task({1: batch([81, 82])}, wait_s=0.03), task({1: batch([91, 92])})]
     for row in range(8):
         error = DamagedError(f"gone {row}", code="crc")
@@ -172,22 +172,22 @@ def test_losses_do_not_depend_on_threads(monkeypatch: pytest.MonkeyPatch) -> Non
         assert [loss.text for loss in found.losses] == ["gone 0", "gone 1", "gone 2"]
 
 
-def test_what_a_container_found_is_reported() -> None:
+def test_losses_found_by_a_container_are_reported() -> None:
     loss = Loss(code="index", text="walked")
     values, found = run(task({1: batch([1, 2], loss)}), task({1: batch([5])}))
     assert (values, found.losses) == ([1, 2, 5], [loss])
 
 
-def test_channels_without_messages_are_passed_over() -> None:
-    """An empty batch, or a channel that was not asked for."""
+def test_channels_without_messages_are_skipped() -> None:
+    """The batch is empty, or the channel was not requested."""
     values, found = run(task({1: batch([])}), task({1: batch([3]), 2: batch([4])}))
     assert (values, found.losses) == ([3], [])
     (none,) = decode([container(task({1: batch([1])}))], [Stream(TYPES, {(1, 1): Decoder()})])
     assert none.columns[0].size == 0
 
 
-def test_a_look_takes_a_few_chunks_of_the_first_file_that_has_some() -> None:
-    """All of them without a limit."""
+def test_a_preview_reads_a_few_chunks_of_the_first_file_with_messages() -> None:
+    """Without a limit all chunks of all files are read."""
     empty = container(task({2: batch([1])}))
     first = container(*(task({1: batch([row])}) for row in range(3)))
     second = container(task({1: batch([7])}))
@@ -197,8 +197,8 @@ def test_a_look_takes_a_few_chunks_of_the_first_file_that_has_some() -> None:
         assert found.columns[0].tolist() == expected
 
 
-def test_only_so_many_losses_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A thousand, so that a log of garbage does not fill the memory."""
+def test_the_number_of_kept_losses_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The limit of 1000 keeps a log of garbage from filling the memory."""
     assert loader._MAX_LOSSES == 1000
     monkeypatch.setattr(loader, "_MAX_LOSSES", 2)
     _, found = run(*(task({1: batch([-1])}) for _ in range(3)))

@@ -1,4 +1,4 @@
-"""Columns of any message that the user names: ROS, JSON and protobuf, in any unit, at any place."""
+"""Named columns of messages of any type: ROS, JSON and protobuf, in any unit, at any path."""
 
 import json
 import re
@@ -26,7 +26,7 @@ from tests.slow_cases import first_by_default
 TRUTH = samples(120)
 KIND = "acme/msg/Raw"
 DEG = np.degrees(TRUTH.gyro)
-#: Counts of a converter: 131 a deg/s, 16384 a g.
+#: Counts of a converter: 131 per deg/s, 16384 per g.
 COUNTS = np.hstack([np.round(DEG * 131), np.round(TRUTH.accel / G0 * 16384)]).astype(np.int16)
 
 
@@ -38,7 +38,7 @@ def is_near(recording: Recording, tolerance: float = 1e-12, *, stamped: bool = T
 
 
 def ros(folder: Path, text: str, build: Callable[[Any, int], dict[str, Any]], **more: Any) -> Path:  # noqa: ANN401 - texts of other types
-    """Write messages of a type of ones own; `build` gets the types and the row and returns the fields."""
+    """Write messages of a custom type; `build` gets the types and the row and returns the fields."""
     types = store(acme__msg__Raw=text, **more)
 
     def message(row: int) -> Any:  # noqa: ANN401 - rosbags makes the types
@@ -52,7 +52,7 @@ def stamp(types: Any, row: int) -> Any:  # noqa: ANN401 - rosbags makes the type
 
 
 def single(folder: Path) -> Path:
-    """Write gx ... az of one number each, in SI, with a header."""
+    """Write one number for each axis gx ... az, in SI units, with a header."""
     names = ("gx", "gy", "gz", "ax", "ay", "az")
     text = "std_msgs/Header header\n" + "\n".join(f"float64 {name}" for name in names)
     return ros(
@@ -61,7 +61,6 @@ def single(folder: Path) -> Path:
 
 
 def two_gyros(folder: Path) -> Path:
-    """Write two gyroscopes and an accelerometer, with a header."""
     text = "std_msgs/Header header\nfloat64[3] fast_gyro\nfloat64[3] slow_gyro\nfloat64[3] accel"
 
     def build(types: Any, row: int) -> dict[str, Any]:  # noqa: ANN401 - rosbags makes the types
@@ -72,7 +71,7 @@ def two_gyros(folder: Path) -> Path:
 
 
 def with_units(folder: Path) -> Path:
-    """Write units in the names, and a time in us."""
+    """Write a time in us and axes with units in their names."""
     names = [f"gyro_{axis}_dps" for axis in "xyz"] + [f"accel_{axis}_mg" for axis in "xyz"]
     text = "uint64 stamp_us\nstring note\n" + "\n".join(f"float64 {name}" for name in names)
     values = np.hstack([DEG, TRUTH.accel / G0 * 1000])
@@ -88,13 +87,13 @@ def with_units(folder: Path) -> Path:
 
 
 def counts(folder: Path, kind: str = "int16[3]") -> Path:
-    """Write arrays of raw counts, of a fixed or of any length."""
+    """Write arrays of raw counts, of fixed or variable length."""
     text = f"std_msgs/Header header\n{kind} g\n{kind} a"
     return ros(folder, text, lambda t, i: {"header": stamp(t, i), "g": COUNTS[i, :3], "a": COUNTS[i, 3:]})
 
 
 def several(folder: Path) -> Path:
-    """Write a list of IMUs, each with a header: their places differ from message to message."""
+    """Write a list of IMUs with a header each; their positions differ between messages."""
     text = "std_msgs/Header header\nOne[] imus\n"
     one = "std_msgs/Header header\nfloat64[3] rate\ngeometry_msgs/Vector3 force"
 
@@ -136,26 +135,29 @@ SINGLE = "g=gx+gy+gz,a=ax+ay+az"
         (several, "g=imus[1].rate,a=imus[1].force,t=imus[1].header.stamp", {"gyro_unit": "rad/s"}, 0),
     ],
 )  # fmt: skip
-def test_ros_messages(
+def test_named_columns_of_ros_messages_are_read(
     write: Callable[[Path], Path],
     columns: str | None,
     options: dict[str, Any],
     tolerance: float,
     tmp_path: Path,
 ) -> None:
-    """Numbers, arrays, sequences, lists of structures; the unit from the name, the caller or the data."""
+    """Columns are numbers, arrays, sequences or lists of structures.
+
+    The unit comes from the name, the options or the data.
+    """
     is_near(read(write(tmp_path), columns=columns, **options), tolerance)
 
 
-def test_the_axes_may_be_in_any_order(tmp_path: Path) -> None:
-    """A sensor that is built in turned."""
+def test_the_axes_can_be_in_any_order(tmp_path: Path) -> None:
+    """The sensor is mounted rotated."""
     recording = read(single(tmp_path), columns="g=gz+gx+gy", gyro_unit="rad/s")
     assert [series.name for series in recording.series] == ["gyro_x", "gyro_y", "gyro_z"]
     npt.assert_array_equal(axes(recording), TRUTH.gyro[:, [2, 0, 1]])
 
 
-def test_unknown_units_must_be_given(tmp_path: Path) -> None:
-    """Counts of a gyroscope say nothing of it; beside an SI accelerometer it is assumed, and said."""
+def test_the_unit_of_counts_must_be_given_and_that_of_decimals_is_assumed(tmp_path: Path) -> None:
+    """The unit of decimals is an assumption, so a finding reports it."""
     with pytest.raises(
         ChoiceError, match=r"topic /imu/data: the unit of the gyroscope is unknown: .* integer"
     ):
@@ -172,7 +174,7 @@ def said(path: Path, **options: Any) -> str:  # noqa: ANN401 - options of any ki
 
 
 def vague(folder: Path) -> Path:
-    """Write names that tell only one of the two sensors."""
+    """Write names of which only the accelerometer's are recognised."""
     names = ("turn_x", "turn_y", "turn_z", "ax", "ay", "az")
     text = "std_msgs/Header header\n" + "\n".join(f"float64 {name}" for name in names)
     return ros(
@@ -180,8 +182,8 @@ def vague(folder: Path) -> Path:
     )
 
 
-def test_a_sensor_without_a_name_is_proposed(tmp_path: Path) -> None:
-    """The finding contains a columns text that works."""
+def test_a_columns_text_is_proposed_for_an_unrecognised_sensor(tmp_path: Path) -> None:
+    """The columns text in the finding works."""
     path = vague(tmp_path)
     recording = read(path)
     assert [series.name for series in recording.series] == ["accel_x", "accel_y", "accel_z"]
@@ -193,7 +195,7 @@ def test_a_sensor_without_a_name_is_proposed(tmp_path: Path) -> None:
 
 
 def test_a_list_of_structures_is_read_only_if_it_is_named(tmp_path: Path) -> None:
-    """Which element is the IMU is not known; the error explains what to do."""
+    """It is unknown which element is the IMU; the error explains what to do."""
     path = several(tmp_path)
     message = said(path)
     assert message == (
@@ -207,8 +209,8 @@ def test_a_list_of_structures_is_read_only_if_it_is_named(tmp_path: Path) -> Non
     assert "there is no column 'imus[0].rats'" in said(path, columns="g=imus[0].rats")
 
 
-def test_columns_that_are_not_there(tmp_path: Path) -> None:
-    """The error lists those that are."""
+def test_missing_columns_are_refused(tmp_path: Path) -> None:
+    """The error lists the existing columns."""
     path = single(tmp_path)
     assert said(path, columns="g=wx+wy+wz") == (
         f"{path}: no topic has the columns in the columns text; found these topics\n"
@@ -221,8 +223,8 @@ def test_columns_that_are_not_there(tmp_path: Path) -> None:
     )
 
 
-def test_a_temperature_that_is_named(tmp_path: Path) -> None:
-    """It is read, or asked for: one that is no number of the messages is not passed over."""
+def test_a_named_temperature_is_read_or_refused(tmp_path: Path) -> None:
+    """A temperature column that contains no numbers is an error."""
     names = ("gx", "gy", "gz", "ax", "ay", "az")
     text = "std_msgs/Header header\nstring note\n" + "".join(f"float64 {name}\n" for name in names)
 
@@ -241,8 +243,8 @@ def test_a_temperature_that_is_named(tmp_path: Path) -> None:
         assert "az, warmth" in problem
 
 
-def test_a_temperature_beyond_electronics_is_a_count(tmp_path: Path) -> None:
-    """It is left out, as in a table, and the decision gives the reason."""
+def test_an_impossible_temperature_is_ignored(tmp_path: Path) -> None:
+    """The value is a raw count, as in tables; the decision contains the reason."""
     names = ("gx", "gy", "gz", "ax", "ay", "az")
     text = "std_msgs/Header header\nint16 temp\n" + "".join(f"float64 {name}\n" for name in names)
 
@@ -265,14 +267,16 @@ def test_a_temperature_beyond_electronics_is_a_count(tmp_path: Path) -> None:
         ([], None),
     ],
 )
-def test_the_deprecated_fields_are_columns(fields: str | list[str], columns: str | None) -> None:
-    """A columns text of the same meaning; what is wrong in it is an error of that text."""
+def test_deprecated_fields_are_converted_to_a_columns_text(
+    fields: str | list[str], columns: str | None
+) -> None:
+    """Errors in the fields are reported as errors of that text."""
     texts = [fields] if isinstance(fields, str) else fields
     assert columns_of_fields(texts, None) == columns
 
 
 def test_deprecated_fields_are_read(tmp_path: Path) -> None:
-    """With a warning that contains the columns text; not together with columns."""
+    """A warning contains the columns text. Fields and columns exclude each other."""
     path = single(tmp_path)
     fields = "gyro=gx,gy,gz accel=ax,ay,az"
     with pytest.warns(DeprecationWarning, match="fields is deprecated") as found:
@@ -283,8 +287,8 @@ def test_deprecated_fields_are_read(tmp_path: Path) -> None:
         read(path, fields=fields, columns=SINGLE)
 
 
-def test_rows_of_one_device(tmp_path: Path) -> None:
-    """Two devices take turns on one topic: the error proposes a columns text for each, which works."""
+def test_messages_of_two_devices_on_one_topic_are_refused(tmp_path: Path) -> None:
+    """The error proposes a columns text for each device, and both texts work."""
     names = ("gx", "gy", "gz", "ax", "ay", "az")
     text = "std_msgs/Header header\nuint8 device_id\n" + "".join(f"float64 {name}\n" for name in names)
 
@@ -305,7 +309,6 @@ def test_rows_of_one_device(tmp_path: Path) -> None:
 
 
 def test_messages_without_a_finite_time_are_dropped(tmp_path: Path) -> None:
-    """As the rows of a table are."""
     text = "float64 clock_s\nfloat64[3] gyro\nfloat64[3] accel"
     first = int(TRUTH.stamps[0]) // 10**9 * 10**9
 
@@ -320,8 +323,8 @@ def test_messages_without_a_finite_time_are_dropped(tmp_path: Path) -> None:
     assert [finding.text for finding in recording.findings if finding.code == "bad-rows"] == [text]
 
 
-def test_a_time_without_unit(tmp_path: Path) -> None:
-    """Its steps, or the option, determine the unit; a float of seconds keeps its digits."""
+def test_the_unit_of_a_time_is_inferred_or_given(tmp_path: Path) -> None:
+    """The time's steps or the option determine the unit; seconds as floats keep their digits."""
     first = int(TRUTH.stamps[0]) // 10**9 * 10**9
 
     def build(_: Any, row: int) -> dict[str, Any]:  # noqa: ANN401 - rosbags makes the types
@@ -366,20 +369,22 @@ def json_log(folder: Path, build: Callable[[int], object]) -> Path:
         ),
     ],
 )  # fmt: skip
-def test_json_of_any_layout(build: Callable[[int], object], columns: str | None, tmp_path: Path) -> None:
-    """Lists, mappings, lists of mappings; the fields are those of the first message."""
+def test_json_messages_of_any_layout_are_read(
+    build: Callable[[int], object], columns: str | None, tmp_path: Path
+) -> None:
+    """Messages are lists, mappings or lists of mappings; the first message defines the fields."""
     path = json_log(tmp_path, build)
     (topic,) = describe(path).topics
     assert topic.fields
     if columns is None:
-        # A list of which the first element is empty shows nothing.
+        # The first element of the list is empty and has no fields.
         assert topic.fields == ("ns number",)
         return
     is_near(read(path, columns=columns, gyro_unit="deg/s", accel_unit="g"))
 
 
 def protobuf_log(folder: Path, *, standard: bool = False) -> Path:
-    """Write messages as Foxglove's users do: a schema of their own, zeros left out."""
+    """Write messages with a custom schema and omitted zeros, as users of Foxglove do."""
     pytest.importorskip("google.protobuf")
     from google.protobuf import descriptor_pb2 as pb
     from google.protobuf.descriptor_pool import DescriptorPool
@@ -432,13 +437,13 @@ def protobuf_log(folder: Path, *, standard: bool = False) -> Path:
     return path
 
 
-def test_protobuf_by_its_own_names(tmp_path: Path) -> None:
-    """Known names are found as in any message, with the stamp in it."""
+def test_known_protobuf_fields_need_no_columns_text(tmp_path: Path) -> None:
+    """Names and stamps are recognised as in other messages."""
     is_near(read(protobuf_log(tmp_path, standard=True)), 0)
 
 
-def test_protobuf_by_named_columns(tmp_path: Path) -> None:
-    """The error lists the columns; lists of numbers by their places."""
+def test_named_columns_of_protobuf_messages_are_read(tmp_path: Path) -> None:
+    """The error lists the columns; list elements are named by their index."""
     path = protobuf_log(tmp_path)
     assert "1 turning_dps.x, 2 turning_dps.y" in said(path, topic=TOPIC)
     (topic,) = describe(path).topics
@@ -462,10 +467,10 @@ def test_protobuf_by_named_columns(tmp_path: Path) -> None:
     ],
     ids=["protobuf", "protobuf by name", "list of structures", "sequence", "JSON", "JSON by name", "ROS"],
 )
-def test_damaged_logs(
+def test_a_damaged_log_gives_samples_or_an_error_with_its_path(
     write: Callable[[Path], Path], columns: str | None, seeds: range, tmp_path: Path
 ) -> None:
-    """Schemas, definitions and messages of any damage: samples, or a message that names the log."""
+    """Schemas, definitions and messages are damaged at random."""
     path = write(tmp_path)
     whole = path.read_bytes()
     for seed in seeds:
@@ -481,8 +486,8 @@ def test_damaged_logs(
                 assert str(error).startswith(str(path))  # noqa: PT017 - the message is the point
 
 
-def test_a_schema_that_holds_itself() -> None:
-    """Many fields of its own type: not all are looked into."""
+def test_a_recursive_schema_is_not_searched_completely() -> None:
+    """The type has many fields of its own type."""
     pb = pytest.importorskip("google.protobuf.descriptor_pb2")
     kinds = pb.FieldDescriptorProto
     file = pb.FileDescriptorProto(name="a.proto", package="a")
@@ -500,8 +505,8 @@ def test_a_schema_that_holds_itself() -> None:
     assert schemas.protobuf_leaves(channel) == []
 
 
-def test_info_lists_the_fields(tmp_path: Path) -> None:
-    """With their types; those in lists by the first element."""
+def test_fields_are_listed_with_their_types(tmp_path: Path) -> None:
+    """Fields in lists are listed for the first element."""
     (topic,) = describe(several(tmp_path)).topics
     assert topic.fields == (
         "header.stamp time",
@@ -528,8 +533,8 @@ def test_info_lists_the_fields(tmp_path: Path) -> None:
         ("s", False),
     ],
 )
-def test_paths(path: str, there: bool) -> None:  # noqa: FBT001 - a parameter of the case
-    """An index is checked where the length is known."""
+def test_a_path_with_a_valid_index_is_found(path: str, there: bool) -> None:  # noqa: FBT001 - a parameter of the case
+    """The index is checked if the length is known."""
     text = "float64 a\nint16[3] b\nint16[] c\nD[] d\nstring s\nfloat32[64] f\n===\nMSG: acme/D\nfloat64 x"
     channel = Channel(
         key=1, topic="/t", type="acme/msg/M", encoding="cdr", definition=text, definition_kind="ros2msg"
@@ -541,8 +546,8 @@ def test_paths(path: str, there: bool) -> None:  # noqa: FBT001 - a parameter of
 
 
 @pytest.mark.parametrize("columns", ["g=w,a=imus[0].f", "g=w,a=f"])
-def test_other_containers(columns: str, tmp_path: Path) -> None:
-    """A ROS 1 bag and a ROS 2 bag: by the walk, and by the tree of a list of structures."""
+def test_named_columns_of_ros1_and_ros2_bags_are_read(columns: str, tmp_path: Path) -> None:
+    """The message is read by fixed offsets, or as a tree if it has a list of structures."""
     text = "std_msgs/Header header\nfloat64[3] w\nfloat64[3] f\nOne[] imus"
     one = "std_msgs/Header header\nfloat64[3] f"
     for ros1 in (True, False):

@@ -1,4 +1,4 @@
-"""Names of columns, units and columns texts: what they mean, and what is refused with which words."""
+"""Column names, units and columns texts: their meaning, and the errors for wrong ones."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -106,14 +106,16 @@ GYRO, ACCEL = Role.GYROSCOPE, Role.ACCELEROMETER
         ("accelerometer_timestamp_relative", Role.OTHER, None, None),
     ],
 )
-def test_names(header: str, role: Role, index: int | None, unit: str | None) -> None:
-    """A name says sensor, axis and unit; what is no raw sample of either sensor says so too."""
+def test_a_column_name_gives_role_axis_and_unit(
+    header: str, role: Role, index: int | None, unit: str | None
+) -> None:
+    """A column name gives sensor, axis and unit; names of other quantities get another role."""
     column = parse_column(header, 0)
     assert (column.role, column.axis, column.unit) == (role, index, unit)
 
 
 def test_alpha_is_an_acceleration_only_next_to_omega() -> None:
-    """Kalibr's names make sense together."""
+    """Kalibr writes `alpha` for the acceleration; elsewhere the name can mean anything."""
     assert parse_column("alpha_x", 4, context=frozenset({"omega_x", "alpha_x"})).role is ACCEL
     assert parse_column("alpha_x", 4, context=frozenset({"time", "alpha_x"})).role is Role.OTHER
     assert parse_column("p", 4, context=frozenset({"p", "q", "r"})).role is GYRO
@@ -121,7 +123,7 @@ def test_alpha_is_an_acceleration_only_next_to_omega() -> None:
 
 
 def named(*headers: str, rows: Sequence[Sequence[str]] = ()) -> NamedTable:
-    """Return a table of columns by name."""
+    """Return a table with the given column names."""
     columns = tuple(
         parse_column(header, index, cells=[row[index] for row in rows])
         for index, header in enumerate(headers)
@@ -143,8 +145,11 @@ def named(*headers: str, rows: Sequence[Sequence[str]] = ()) -> NamedTable:
         (("lin_acc_x", "lin_acc_y", "lin_acc_z", "acc_x", "acc_y", "acc_z"), ["a=3:6"]),
     ],
 )
-def test_sets_of_three(headers: tuple[str, ...], places: list[str]) -> None:
-    """Axes by letter, or by number from 0 or 1; the gyroscope first, of two with and without gravity one."""
+def test_three_axes_are_found_by_name(headers: tuple[str, ...], places: list[str]) -> None:
+    """Axes have letters, or numbers from 0 or 1.
+
+    The gyroscope comes first, and acceleration with gravity is preferred to acceleration without.
+    """
     assert [triad.text() for triad in find_triads(named(*headers))] == places
 
 
@@ -159,8 +164,10 @@ def test_sets_of_three(headers: tuple[str, ...], places: list[str]) -> None:
         (("accX", "7"), None, "accX"),
     ],
 )
-def test_tags_of_rows(tags: tuple[str, str], gyro: str | None, accel: str | None) -> None:
-    """One of a usual pair tells the other, as it is written."""
+def test_one_usual_tag_identifies_both_sensors(
+    tags: tuple[str, str], gyro: str | None, accel: str | None
+) -> None:
+    """If one tag has a usual name, the other tag belongs to the other sensor."""
     table = named("tag", "x", "y", "z", rows=[(f"'{tag}'", "1", "2", "3") for tag in tags])
     found, how = find_bare_triads(table, "log.csv")
     tags_of = {Sensor.GYROSCOPE: gyro, Sensor.ACCELEROMETER: accel}
@@ -169,14 +176,14 @@ def test_tags_of_rows(tags: tuple[str, str], gyro: str | None, accel: str | None
 
 
 def test_tags_of_two_gyroscopes_are_not_guessed() -> None:
-    """Which of them is meant is for the user to say; the texts are ready."""
+    """The user must choose; the error offers the columns texts."""
     table = named("tag", "x", "y", "z", rows=[(tag, "1", "2", "3") for tag in ("gyro2", "gyro1", "acc")])
     with pytest.raises(ChoiceError, match=r"gyro1, gyro2.*such as g=1:4@gyro1,a=1:4@acc or g=1:4@gyro2,a="):
         find_bare_triads(table, "log.csv")
 
 
-def test_the_name_of_a_file_tells() -> None:
-    """Where it names one sensor only."""
+def test_the_file_name_identifies_the_sensor() -> None:
+    """The name is used only if the file name contains one sensor."""
     assert find_bare_triads(named("t", "x", "y"), "gyro.csv") == ({}, "")
     gyro, accel = Sensor
     for name, sensor in (
@@ -192,8 +199,8 @@ def test_the_name_of_a_file_tells() -> None:
             find_bare_triads(named("x", "y", "z"), name)
 
 
-def test_the_nearest_temperature() -> None:
-    """Of several, the one beside the sensor; the first where nothing tells."""
+def test_the_temperature_column_nearest_to_the_sensor_is_used() -> None:
+    """Without a sensor, the first temperature column is used."""
     columns = named("temp1", "gx", "gy", "gz", "t", "temp2").columns
     assert [find_temperature(columns, near=near) for near in ((1, 2, 3), (3,), ())] == [0, 5, 0]
     assert find_temperature(columns[1:5]) is None
@@ -220,8 +227,7 @@ def test_the_nearest_temperature() -> None:
         *((text, "ug") for text in ("ug", "µg", "μg")),
     ],
 )
-def test_units_of_samples(text: str, name: str) -> None:
-    """A unit has many spellings and one name."""
+def test_each_spelling_of_a_sample_unit_has_one_name(text: str, name: str) -> None:
     parsed = parse_sample_unit(text)
     assert parsed is not None
     assert parsed[1] == name
@@ -229,8 +235,8 @@ def test_units_of_samples(text: str, name: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "s", "uT", "deg", "rad", "m/s", "N", "V", "%"])
-def test_other_units_are_no_units_of_samples(text: str) -> None:
-    """An angle or a field is neither a rate nor an acceleration."""
+def test_units_of_other_quantities_are_not_sample_units(text: str) -> None:
+    """An angle or a magnetic field is neither a rate nor an acceleration."""
     assert parse_sample_unit(text) is None
 
 
@@ -247,8 +253,7 @@ def test_other_units_are_no_units_of_samples(text: str) -> None:
         ("g", None),
     ],
 )
-def test_units_of_time(text: str, name: str | None) -> None:
-    """Seconds and their parts."""
+def test_each_spelling_of_a_time_unit_has_one_name(text: str, name: str | None) -> None:
     assert parse_time_unit(text) == name
 
 
@@ -263,14 +268,14 @@ HEADERS = ["stamp", "wx", "wy", "wz", "ax", "ay", "az", "I", "temp"]
         " time = 0 , gyro = 1+2+3 , accel = 4:7 ",
     ],
 )
-def test_columns_text(text: str) -> None:
-    """Places from 0 without the end, or names joined by +."""
+def test_a_columns_text_contains_column_numbers_or_names(text: str) -> None:
+    """Ranges of numbers start at 0 and exclude their end; names are joined by "+"."""
     sensors, time, _ = parse_columns_text(text, named(*HEADERS))
     assert (time, [spec.indices for spec in sensors]) == ((0,), [(1, 2, 3), (4, 5, 6)])
 
 
-def test_columns_text_takes_rows_and_temperature() -> None:
-    """A tag or a column with its value chooses the rows; any order of axes can be given."""
+def test_a_columns_text_can_select_rows_and_a_temperature() -> None:
+    """Rows are selected by a tag, or by a column and its value. The axes can be in any order."""
     (gyro, accel), time, temperature = parse_columns_text(
         "g=3+2+1@imu,a=4:7@I:0,temp=8,t=0+7", named(*HEADERS)
     )
@@ -286,15 +291,14 @@ def test_columns_text_takes_rows_and_temperature() -> None:
         ("accel_z=6,gx=1,gz=3,ay=5", ["gyro_x", "gyro_z", "accel_y", "accel_z"], [1, 3, 5, 6]),
     ],
 )
-def test_columns_text_of_single_axes(text: str, axes: list[str], indices: list[int]) -> None:
-    """A log of one axis, or of some, names each by its letter; gyroscope first, in the order x, y, z."""
+def test_a_columns_text_can_name_single_axes(text: str, axes: list[str], indices: list[int]) -> None:
+    """The result is sorted: gyroscope first, then x, y, z."""
     sensors, _, _ = parse_columns_text(text, named(*HEADERS))
     assert [f"{spec.sensor.short}_{axis}" for spec in sensors for axis in spec.axes] == axes
     assert [index for spec in sensors for index in spec.indices] == indices
 
 
-def test_a_column_may_serve_both_sensors_in_different_rows() -> None:
-    """Tagged rows: the same columns hold the gyroscope and the accelerometer in turn."""
+def test_both_sensors_can_use_the_same_columns_in_different_rows() -> None:
     (gyro, accel), _, _ = parse_columns_text("g=1:4@I:0,a=1:4@I:1", named(*HEADERS))
     assert gyro.indices == accel.indices
     assert (gyro.rows, accel.rows) == ((7, "0"), (7, "1"))
@@ -331,8 +335,8 @@ FOUND = (
         ("g=1:999999999999", "g names 12 columns, expected 3"),
     ],
 )
-def test_wrong_columns_texts(text: str, problem: str) -> None:
-    """The message says what is wrong, which columns there are, and how it is written."""
+def test_a_wrong_columns_text_is_refused(text: str, problem: str) -> None:
+    """The error explains the problem, lists the columns and shows the correct form."""
     with pytest.raises(ChoiceError) as caught:
         parse_columns_text(text, named(*HEADERS))
     message = str(caught.value)
@@ -343,7 +347,7 @@ def test_wrong_columns_texts(text: str, problem: str) -> None:
 
 
 def refused(folder: Path, content: str, name: str = "log.csv", **options: object) -> str:
-    """Return the message of a refusal, the path cut off."""
+    """Return the error message without the path."""
     path = folder / name
     path.write_text(content, encoding="utf-8")
     with pytest.raises(ChoiceError) as caught:
@@ -356,8 +360,8 @@ def refused(folder: Path, content: str, name: str = "log.csv", **options: object
 HOW = "(numbers from 0 without the end, or three names joined by +)"
 
 
-def test_no_header(tmp_path: Path) -> None:
-    """An order is never guessed: the error lists the columns with their first values."""
+def test_a_table_without_header_is_refused(tmp_path: Path) -> None:
+    """The order of the columns is never guessed. The error lists the columns with their first values."""
     content = lines("", seconds(truth()), *xyz(truth().accel), *xyz(truth().gyro), mark=" ")
     first = [cell if len(cell) < 10 else f"{float(cell):.6g}" for cell in content.split("\n")[0].split()]
     row = ", ".join(f"{i} {cell}" for i, cell in enumerate(first))
@@ -368,14 +372,13 @@ def test_no_header(tmp_path: Path) -> None:
     )
 
 
-def test_thirty_columns_are_not_always_kitti(tmp_path: Path) -> None:
-    """The width alone tells nothing."""
+def test_thirty_columns_alone_do_not_identify_kitti(tmp_path: Path) -> None:
     content = lines("", *[cells(truth().accel[:, 2] * 100)] * 30, mark=" ")
     assert refused(tmp_path, content).startswith("the 30 columns have no header;")
 
 
-def test_rows_that_name_their_sensor(tmp_path: Path) -> None:
-    """Tagged rows without a header: the error shows a tag, and a columns text with the tags works."""
+def test_a_columns_text_can_select_rows_by_tag(tmp_path: Path) -> None:
+    """The table has tagged rows and no header. The error shows one of the tags."""
     t = truth()
     rows = []
     for i in range(N):
@@ -389,8 +392,8 @@ def test_rows_that_name_their_sensor(tmp_path: Path) -> None:
     assert recording.axis("accelerometer", "z").samples[0] == pytest.approx(t.accel[0, 2], rel=1e-12)
 
 
-def test_no_sensor(tmp_path: Path) -> None:
-    """A table of other things shows its columns."""
+def test_a_table_without_sensor_columns_is_refused(tmp_path: Path) -> None:
+    """The error lists the columns."""
     content = lines("time (s),lat,lon,alt", seconds(truth()), *xyz(truth().gyro))
     assert refused(tmp_path, content) == (
         "no column has the name of a gyroscope or accelerometer axis; "
@@ -399,8 +402,8 @@ def test_no_sensor(tmp_path: Path) -> None:
     )
 
 
-def test_an_axis_is_missing(tmp_path: Path) -> None:
-    """Two numbered axes of three are not enough: nobody knows where they count from."""
+def test_two_axes_of_three_are_refused(tmp_path: Path) -> None:
+    """The axes have numbers, so it is unknown which axis is missing."""
     content = lines("time (s),gyro_1,gyro_2,foo", seconds(truth()), *xyz(truth().gyro))
     assert refused(tmp_path, content) == (
         "expected x, y and z of one sensor, found only gyro_1 (gyroscope), gyro_2 (gyroscope); "
@@ -409,8 +412,8 @@ def test_an_axis_is_missing(tmp_path: Path) -> None:
     )
 
 
-def test_mixed_units(tmp_path: Path) -> None:
-    """A real writer labels xRate rad/s and yRate deg/s: one of them is wrong, and nobody knows which."""
+def test_axes_with_different_units_are_refused(tmp_path: Path) -> None:
+    """A real logger writes xRate in rad/s and yRate in deg/s: one of the two units is wrong."""
     header = "time (s),xRate (rad/s),yRate (deg/s),zRate (deg/s)"
     content = lines(header, seconds(truth()), *xyz(truth().gyro))
     assert refused(tmp_path, content) == (
@@ -423,8 +426,8 @@ def test_mixed_units(tmp_path: Path) -> None:
     assert recording.series[0].samples[0] == truth().gyro[0, 0]
 
 
-def test_two_gyroscopes(tmp_path: Path) -> None:
-    """Which of two sets of columns is meant is for the user to say; the texts are ready."""
+def test_two_sets_of_gyroscope_columns_are_refused(tmp_path: Path) -> None:
+    """The user must choose; the error offers the columns texts."""
     header = "t,gyroADC[0],gyroADC[1],gyroADC[2],gyroUnfilt[0],gyroUnfilt[1],gyroUnfilt[2]"
     content = lines(header, seconds(truth()), *xyz(truth().gyro), *xyz(truth().gyro))
     assert refused(tmp_path, content).partition("; also, the unit of the gyroscope is unknown")[0] == (
@@ -434,15 +437,14 @@ def test_two_gyroscopes(tmp_path: Path) -> None:
     )
 
 
-def test_the_same_name_twice(tmp_path: Path) -> None:
-    """Names that repeat tell nothing."""
+def test_repeated_column_names_are_refused(tmp_path: Path) -> None:
     header = "time (s),gx,gy,gz,gx,gy,gz"
     content = lines(header, seconds(truth()), *xyz(truth().gyro), *xyz(truth().gyro))
     assert refused(tmp_path, content).startswith("columns 1 and 4 are both 'gx'; found columns: 0 time (s),")
 
 
-def test_rows_of_two_sensors(tmp_path: Path) -> None:
-    """ArduPilot logs several IMUs in one table: the column I tells them apart."""
+def test_a_table_with_rows_of_two_sensors_is_refused(tmp_path: Path) -> None:
+    """ArduPilot logs several IMUs in one table; column I contains their number."""
     message = refused(tmp_path, two_ardupilots(truth()))
     assert message.startswith(
         "rows of 2 sensors, numbered by column I (0, 1); found columns: 0 TimeUS, 1 I, "
@@ -450,8 +452,8 @@ def test_rows_of_two_sensors(tmp_path: Path) -> None:
     assert message.endswith(f"such as t=0,g=2:5@I:0,a=5:8@I:0 or t=0,g=2:5@I:1,a=5:8@I:1 {HOW}")
 
 
-def test_bare_axes(tmp_path: Path) -> None:
-    """x, y, z without a unit or a telling file name could be either sensor."""
+def test_x_y_z_without_a_sensor_name_are_refused(tmp_path: Path) -> None:
+    """Without units or a file name with a sensor, they could be either sensor."""
     content = lines("time,x,y,z", seconds(truth()), *xyz(truth().gyro))
     assert refused(tmp_path, content) == (
         "x, y and z (x, y, z) have no sensor in their names; found columns: 0 time, 1 x, 2 y, 3 z; "
@@ -459,8 +461,8 @@ def test_bare_axes(tmp_path: Path) -> None:
     )
 
 
-def test_linear_acceleration_is_left_out_if_there_is_plain_acceleration(tmp_path: Path) -> None:
-    """Without gravity it is the phone's estimate; alone it is what ROS calls the measurement."""
+def test_acceleration_with_gravity_is_preferred_to_linear_acceleration(tmp_path: Path) -> None:
+    """Phones estimate linear acceleration without gravity; ROS uses the same name for the measurement."""
     header = "time (s)," + ",".join(
         f"{kind} {a} (m/s^2)" for kind in ("linear acceleration", "acceleration") for a in "XYZ"
     )
@@ -473,7 +475,7 @@ def test_linear_acceleration_is_left_out_if_there_is_plain_acceleration(tmp_path
 
 
 def test_time_is_never_the_temperature(tmp_path: Path) -> None:
-    """A column T beside no time is a temperature: the rate is asked for."""
+    """A column T without a time column is a temperature, so the sampling rate is required."""
     header = "T,gx (rad/s),gy (rad/s),gz (rad/s)"
     content = lines(header, ["25.5"] * N, *xyz(truth().gyro))
     assert refused(tmp_path, content) == (
@@ -484,8 +486,8 @@ def test_time_is_never_the_temperature(tmp_path: Path) -> None:
     assert recording.temperature is not None
 
 
-def test_options_that_contradict(tmp_path: Path) -> None:
-    """A unit and a scale can't both be right; a unit must be one of the sensor."""
+def test_contradicting_options_are_refused(tmp_path: Path) -> None:
+    """Unit and scale exclude each other, and a unit must belong to the sensor."""
     content = lines("time (s),gx,gy,gz", seconds(truth()), *xyz(truth().gyro))
     assert refused(tmp_path, content, gyro_unit="deg/s", gyro_scale=0.1) == (
         "both a unit (deg/s) and a scale (0.1) are given for the gyroscope; give one"
@@ -498,8 +500,8 @@ def test_options_that_contradict(tmp_path: Path) -> None:
     )
 
 
-def test_given_units_go_before_the_header(tmp_path: Path) -> None:
-    """A header may be wrong; the report says who decided."""
+def test_a_given_unit_overrides_the_header(tmp_path: Path) -> None:
+    """Headers can be wrong; the report shows that the unit was given."""
     header = "time (s),gx (rad/s),gy (rad/s),gz (rad/s)"
     path = tmp_path / "log.csv"
     path.write_text(

@@ -1,4 +1,4 @@
-"""Units that no header states: what settles them, what is taken with a warning, what is refused."""
+"""Units that no header contains: inferred, assumed with a warning, or refused."""
 
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from tests.readers.tables.texts import N, lines, own_counts, own_plain, seconds,
 
 
 def at_rest(size: float, *, integers: bool = False) -> FloatArray:
-    """Return samples of an accelerometer at rest whose gravity has a size."""
+    """Return samples of an accelerometer at rest with a given size of gravity."""
     rows = np.random.default_rng(2).normal(scale=size * 1e-3, size=(500, 3)) + np.array([0, 0.1 * size, size])
     return np.asarray(np.round(rows) if integers else rows, dtype=np.float64)
 
@@ -33,31 +33,30 @@ def at_rest(size: float, *, integers: bool = False) -> FloatArray:
         (930.0, "mg"),
     ],
 )
-def test_gravity_settles_the_accelerometer(size: float, unit: str) -> None:
-    """The units lie a factor of ten apart, scale errors of cheap sensors do not reach that far."""
+def test_gravity_identifies_the_unit_of_the_accelerometer(size: float, unit: str) -> None:
+    """The units differ by factors of ten, more than the scale errors of cheap sensors."""
     assert infer_accel_unit(at_rest(size)).unit == unit
 
 
 @pytest.mark.parametrize("counts", [16384, 8192, 4096, 2048])
-def test_counts_of_gravity(counts: int) -> None:
-    """Integers of a usual range give the scale."""
+def test_integer_counts_of_gravity_give_the_scale(counts: int) -> None:
     found = infer_accel_unit(at_rest(counts, integers=True))
     assert found.unit == "count"
     assert found.scale == pytest.approx(G0 / counts)
 
 
 @pytest.mark.parametrize(("size", "integers"), [(15000, True), (5.0, False), (0.2, False), (3000, True)])
-def test_other_sizes_are_open(size: float, integers: bool) -> None:  # noqa: FBT001 - a parameter of the case
-    """A size that is gravity in nothing is not forced into anything."""
+def test_other_magnitudes_give_no_unit(size: float, integers: bool) -> None:  # noqa: FBT001 - a parameter of the case
     assert infer_accel_unit(at_rest(size, integers=integers)).unit is None
 
 
 @pytest.mark.parametrize("step", [1 / 131, 1 / 65.5, 1 / 16.4, 2000 / 32768, 250 / 32768, 0.00875, 0.07])
 @pytest.mark.parametrize(("unit", "factor"), [("deg/s", 1.0), ("rad/s", np.pi / 180)])
-def test_steps_of_the_converter_settle_the_gyroscope(step: float, unit: str, factor: float) -> None:
-    """Rates that come in a known converter's steps tell their unit."""
+def test_the_steps_of_a_known_converter_identify_the_unit_of_the_gyroscope(
+    step: float, unit: str, factor: float
+) -> None:
     counts = np.round(np.random.default_rng(3).normal(scale=6, size=(2000, 3)))
-    # Logs print some digits only.
+    # Logs print a limited number of digits.
     rows = np.array([float(f"{value:.7g}") for value in (counts * step * factor).ravel()]).reshape(-1, 3)
     found = infer_gyro_unit(rows, rate_hz=100.0, accel_unit="m/s^2")
     assert (found.unit, found.assumed) == (unit, False)
@@ -68,7 +67,7 @@ def noise(scale: float, mean: float = 0.0) -> FloatArray:
 
 
 def moving(scale: float) -> FloatArray:
-    """Return the rates of a hand: far in small steps."""
+    """Return rates of a hand: a large range in small steps."""
     t = np.linspace(0, 60, 5000)[:, None]
     return scale * (3 * np.sin(t * [1.0, 1.3, 0.7]) + 1e-3 * noise(1.0))
 
@@ -109,8 +108,10 @@ def moving(scale: float) -> FloatArray:
         (np.round(noise(30.0)), "m/s^2", None, "the rates are integer counts of an unknown scale"),
     ],
 )
-def test_gyroscope(rows: FloatArray, accel: str | None, unit: str | None, reason: str) -> None:
-    """Only SI beside SI is taken, where rate and noise are those of a gyroscope; and never as sure."""
+def test_rad_per_s_is_assumed_only_next_to_an_si_accelerometer(
+    rows: FloatArray, accel: str | None, unit: str | None, reason: str
+) -> None:
+    """Rate and noise must also be typical of a gyroscope, and the unit stays an assumption."""
     found = infer_gyro_unit(rows, rate_hz=100.0, accel_unit=accel, still=True)
     assert (found.unit, found.assumed, found.reason) == (unit, unit is not None, reason)
 
@@ -124,8 +125,10 @@ def test_gyroscope(rows: FloatArray, accel: str | None, unit: str | None, reason
         ({}, ""),
     ],
 )
-def test_a_unit_against_the_header_is_a_warning(given: dict[str, Any], said: str, tmp_path: Path) -> None:
-    """It is taken, as headers may be wrong; by one that agrees nothing changes."""
+def test_a_given_unit_that_contradicts_the_header_is_a_warning(
+    given: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    """The given unit is used, because headers can be wrong. If both agree there is no warning."""
     path, t = tmp_path / "log.csv", truth()
     names = "t (s),gx (rad/s),gy (rad/s),gz (rad/s),ax (m/s^2),ay (m/s^2),az (m/s^2)"
     path.write_text(lines(names, seconds(t), *xyz(t.gyro), *xyz(t.accel)), encoding="utf-8")
@@ -135,8 +138,8 @@ def test_a_unit_against_the_header_is_a_warning(given: dict[str, Any], said: str
     assert all((f.level, f.code, f.axis) == ("warning", "unit-given", "gyro") for f in findings)
 
 
-def test_assumed_unit_is_a_warning(tmp_path: Path) -> None:
-    """What is taken for want of better is said, with what to do."""
+def test_an_assumed_unit_is_a_warning(tmp_path: Path) -> None:
+    """The warning explains how to give the unit."""
     path = tmp_path / "log.csv"
     path.write_text(own_plain(truth()), encoding="utf-8")
     (finding,) = read(path, ReadOptions()).findings
@@ -152,8 +155,8 @@ def test_assumed_unit_is_a_warning(tmp_path: Path) -> None:
     assert read(path, ReadOptions(gyro_unit="rad/s")).findings == ()
 
 
-def test_counts_of_a_gyroscope_need_a_scale(tmp_path: Path) -> None:
-    """No test tells the scale of a gyroscope's counts."""
+def test_integer_counts_of_a_gyroscope_need_a_scale(tmp_path: Path) -> None:
+    """Unlike gravity, no known quantity gives the scale."""
     path = tmp_path / "log.csv"
     path.write_text(own_counts(truth()), encoding="utf-8")
     with pytest.raises(ChoiceError) as caught:
@@ -167,8 +170,7 @@ def test_counts_of_a_gyroscope_need_a_scale(tmp_path: Path) -> None:
     assert recording.axis("accelerometer", "z").samples.mean() == pytest.approx(G0, rel=1e-3)
 
 
-def test_open_accelerometer(tmp_path: Path) -> None:
-    """A magnitude that is no gravity is asked for."""
+def test_an_accelerometer_without_plausible_gravity_needs_a_unit(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text(lines("time (s),ax,ay,az", seconds(truth()), *xyz(truth().accel * 0.5)), encoding="utf-8")
     with pytest.raises(ChoiceError) as caught:

@@ -1,4 +1,4 @@
-"""Compression, encodings, line ends, damage: the numbers stay those of the file."""
+"""Compression, encodings, line ends and damage do not change the numbers of a text table."""
 
 import bz2
 import gzip
@@ -26,7 +26,7 @@ HEADER = "time (s),gyro_x (rad/s),gyro_y (rad/s),gyro_z (rad/s),acc_x (m/s^2),ac
 
 
 def plain() -> str:
-    """Return a table in SI with stamps of its own."""
+    """Return a table in SI units with even stamps."""
     return lines(HEADER, seconds(truth()), *xyz(truth().gyro), *xyz(truth().accel))
 
 
@@ -62,15 +62,16 @@ def lz4_frame(data: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("compress", [gzip.compress, bz2.compress, xz, zstd, lz4_frame])
-def test_compressed(compress: Callable[[bytes], bytes], tmp_path: Path) -> None:
-    """Compression is seen by the first bytes, whatever the name."""
+def test_compression_is_detected_by_the_first_bytes(
+    compress: Callable[[bytes], bytes], tmp_path: Path
+) -> None:
     npt.assert_array_equal(
         table(read(store(tmp_path, compress(plain().encode())), ReadOptions())), expected()
     )
 
 
-def test_members_of_gzip_and_frames_of_zstd_follow_each_other(tmp_path: Path) -> None:
-    """Logs that were compressed piece by piece are read to their end."""
+def test_all_members_of_gzip_and_all_frames_of_zstd_are_read(tmp_path: Path) -> None:
+    """Logs that were compressed piece by piece consist of several members."""
     first, second = plain().encode()[:20_000], plain().encode()[20_000:]
     for compress in (gzip.compress, zstd):
         path = store(tmp_path, compress(first) + compress(second))
@@ -78,8 +79,10 @@ def test_members_of_gzip_and_frames_of_zstd_follow_each_other(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("compress", [gzip.compress, bz2.compress, xz, zstd, lz4_frame])
-def test_cut_compressed(compress: Callable[[bytes], bytes], tmp_path: Path) -> None:
-    """A cut stream gives the rows that are whole, or says that nothing could be unpacked."""
+def test_a_cut_compressed_file_gives_its_complete_rows(
+    compress: Callable[[bytes], bytes], tmp_path: Path
+) -> None:
+    """If nothing can be unpacked, the error reports that."""
     samples = np.random.default_rng(1).normal(size=(6, 10 * N)) + np.array([[0, 0, 0, 0, 0, 9.8]]).T
     content = lines(
         HEADER, [f"{i * 0.01:.2f}" for i in range(10 * N)], *[[repr(float(v)) for v in x] for x in samples]
@@ -89,7 +92,7 @@ def test_cut_compressed(compress: Callable[[bytes], bytes], tmp_path: Path) -> N
     try:
         recording = read(path, ReadOptions())
     except ReadError as error:
-        # A bzip2 block is one piece: all of it or nothing.
+        # bzip2 unpacks a block completely or not at all.
         assert compress is bz2.compress
         assert "The bzip2 stream is cut off or damaged" in str(error)  # noqa: PT017
     else:
@@ -99,8 +102,8 @@ def test_cut_compressed(compress: Callable[[bytes], bytes], tmp_path: Path) -> N
         npt.assert_array_equal(table(recording), samples.T[:n])
 
 
-def test_standard_input(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The path - reads standard input, compressed or not."""
+def test_the_path_minus_reads_standard_input(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The input may be compressed."""
 
     class Standard:
         buffer = io.BytesIO(gzip.compress(plain().encode()))
@@ -112,8 +115,7 @@ def test_standard_input(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
-def test_a_text_that_is_cut_within_a_letter(encoding: str, tmp_path: Path) -> None:
-    """Only its last line is lost."""
+def test_a_text_cut_within_a_character_loses_its_last_line(encoding: str, tmp_path: Path) -> None:
     path, rows = tmp_path / "log.csv", [f"{i * 10},0.0{i % 3},0.02,0.03" for i in range(50)]
     text = "\n".join(["time_ms,gx_rad/s,gy_rad/s,gz_rad/s", *rows]) + "\n"
     path.write_bytes(text.encode(encoding)[:-11])
@@ -123,23 +125,24 @@ def test_a_text_that_is_cut_within_a_letter(encoding: str, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "latin-1"])
-def test_encodings(encoding: str, tmp_path: Path) -> None:
-    """A byte order mark, two bytes a character, or a superscript of Latin-1 change nothing."""
+def test_encodings_do_not_change_the_numbers(encoding: str, tmp_path: Path) -> None:
+    """Cases: a byte order mark, two bytes per character, and a superscript of Latin-1."""
     content = plain().replace("m/s^2", "m/s²").encode(encoding)
     npt.assert_array_equal(table(read(store(tmp_path, content), ReadOptions())), expected())
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
-def test_line_ends(end: str, tmp_path: Path) -> None:
-    """Unix, Windows and old Macintosh lines."""
+def test_line_ends_do_not_change_the_numbers(end: str, tmp_path: Path) -> None:
+    """Cases: Unix, Windows and old Macintosh."""
     npt.assert_array_equal(
         table(read(store(tmp_path, plain().replace("\n", end)), ReadOptions())), expected()
     )
 
 
 @pytest.mark.parametrize("size", [1 << 10, 4321, 1 << 16])
-def test_blocks_join_without_a_seam(size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where blocks end does not show."""
+def test_the_block_size_does_not_change_the_numbers(
+    size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(text_source, "_HEAD", 600)
     monkeypatch.setattr(text_source, "_BLOCK", size)
     for content in (plain(), plain().replace("\n", "\r\n"), plain().replace("\n", "\n\n")):
@@ -148,8 +151,7 @@ def test_blocks_join_without_a_seam(size: int, tmp_path: Path, monkeypatch: pyte
         assert codes(recording) == []
 
 
-def test_exact_like_python(tmp_path: Path) -> None:
-    """Numbers of all sizes and lengths are those that Python's float makes of the same text."""
+def test_numbers_equal_those_of_python_float(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     values = [
         [
@@ -167,7 +169,7 @@ def test_exact_like_python(tmp_path: Path) -> None:
 
 
 def test_integer_stamps_stay_integers(tmp_path: Path) -> None:
-    """Nanoseconds since 1970 don't fit a double; a jitter of 1 ns is seen."""
+    """Nanoseconds since 1970 do not fit in a double; a jitter of 1 ns must be visible."""
     rng = np.random.default_rng(4)
     jitter = rng.integers(-40, 40, N)
     stamps = [1_700_000_000_000_000_001 + i * 10_000_000 + int(jitter[i]) for i in range(N)]
@@ -178,8 +180,8 @@ def test_integer_stamps_stay_integers(tmp_path: Path) -> None:
     assert clock.jitter_s == pytest.approx(np.std(jitter) * 1e-9, rel=0.1)
 
 
-def test_stamps_that_a_spreadsheet_damaged_are_not_taken_for_times(tmp_path: Path) -> None:
-    """1.40E+18 in every row is no time."""
+def test_stamps_damaged_by_a_spreadsheet_are_refused(tmp_path: Path) -> None:
+    """The spreadsheet wrote 1.40E+18 in every row."""
     content = lines(
         HEADER.replace("(s)", "[ns]", 1), ["1.40E+18"] * N, *xyz(truth().gyro), *xyz(truth().accel)
     )
@@ -187,8 +189,8 @@ def test_stamps_that_a_spreadsheet_damaged_are_not_taken_for_times(tmp_path: Pat
         read(store(tmp_path, content), ReadOptions())
 
 
-def test_cut_last_line_is_dropped_with_a_note(tmp_path: Path) -> None:
-    """A last line without an end may hold a cut number."""
+def test_a_cut_last_line_is_dropped_with_a_note(tmp_path: Path) -> None:
+    """A last line without a line end may contain a cut number."""
     content = plain().rstrip("\n")[:-3]
     recording = read(store(tmp_path, content), ReadOptions())
     npt.assert_array_equal(table(recording), expected()[:-1])
@@ -197,8 +199,8 @@ def test_cut_last_line_is_dropped_with_a_note(tmp_path: Path) -> None:
     assert finding.text.startswith("The last line has no line end and may be cut off ('3.990000,")
 
 
-def test_whole_last_line_without_an_end_is_kept(tmp_path: Path) -> None:
-    """With a fixed number of decimals a whole last number shows."""
+def test_a_complete_last_line_without_line_end_is_kept(tmp_path: Path) -> None:
+    """A fixed number of decimals shows that the last number is complete."""
     fixed = [
         [f"{float(cell):.6f}" for cell in column] for column in (*xyz(truth().gyro), *xyz(truth().accel))
     ]
@@ -221,7 +223,7 @@ def test_whole_last_line_without_an_end_is_kept(tmp_path: Path) -> None:
     ],
 )
 def test_bad_rows_are_counted_and_dropped(bad: str, tmp_path: Path) -> None:
-    """A row that is no row is left out, and the report says how many were; the others stay exact."""
+    """The finding reports their number; the other rows stay exact."""
     rows = plain().split("\n")
     rows.insert(201, bad)
     rows.insert(301, bad)
@@ -233,7 +235,6 @@ def test_bad_rows_are_counted_and_dropped(bad: str, tmp_path: Path) -> None:
 
 
 def test_strict_refuses_bad_rows(tmp_path: Path) -> None:
-    """With `strict` nothing is dropped."""
     rows = plain().split("\n")
     rows.insert(201, "1.0,oops,1,1,1,1,1")
     path = store(tmp_path, "\n".join(rows))
@@ -246,7 +247,6 @@ def test_strict_refuses_bad_rows(tmp_path: Path) -> None:
 
 
 def test_strict_refuses_a_cut_end(tmp_path: Path) -> None:
-    """With `strict` a cut line and a cut stream are errors."""
     path = store(tmp_path, plain().rstrip("\n")[:-3])
     with pytest.raises(
         ReadError, match=r"the last line has no line end and may be cut .*; expected whole lines"
@@ -260,7 +260,7 @@ def test_strict_refuses_a_cut_end(tmp_path: Path) -> None:
         read(path, ReadOptions(strict=True))
 
 
-def test_comments_blank_lines_and_a_second_header_are_no_rows(tmp_path: Path) -> None:
+def test_comments_blank_lines_and_a_repeated_header_are_ignored(tmp_path: Path) -> None:
     """A logger that was started twice repeats its header."""
     rows = plain().split("\n")
     rows[150:150] = ["", "# paused", "// resumed", HEADER, ""]
@@ -269,8 +269,7 @@ def test_comments_blank_lines_and_a_second_header_are_no_rows(tmp_path: Path) ->
     assert codes(recording) == []
 
 
-def test_not_a_number_stays(tmp_path: Path) -> None:
-    """NaN and infinity in the log are values of the log."""
+def test_nan_and_infinity_are_kept(tmp_path: Path) -> None:
     columns = [*xyz(truth().gyro), *xyz(truth().accel)]
     columns[1][7], columns[4][9] = "nan", "-inf"
     recording = read(store(tmp_path, lines(HEADER, seconds(truth()), *columns)), ReadOptions())
@@ -279,8 +278,8 @@ def test_not_a_number_stays(tmp_path: Path) -> None:
     assert recording.series[0].n == N
 
 
-def test_integers_that_turn_into_decimals(tmp_path: Path) -> None:
-    """A time in ms that is whole for the first rows and then not is read as it stands."""
+def test_a_column_can_change_from_integers_to_decimals(tmp_path: Path) -> None:
+    """The times in ms are integers only in the first rows."""
     now = [str(i * 10) if i < 350 else f"{i * 10}.5" for i in range(N)]
     content = lines(HEADER.replace("(s)", "(ms)", 1), now, *xyz(truth().gyro), *xyz(truth().accel))
     recording = read(store(tmp_path, content), ReadOptions())
@@ -288,16 +287,16 @@ def test_integers_that_turn_into_decimals(tmp_path: Path) -> None:
     assert recording.series[0].rate_hz == pytest.approx(100, rel=1e-4)
 
 
-def test_quoted_cells_with_delimiters(tmp_path: Path) -> None:
-    """Quotation marks hide delimiters in columns that are not read."""
+def test_quoted_cells_can_contain_delimiters(tmp_path: Path) -> None:
+    """The quoted column is not read."""
     content = lines(
         f"note,{HEADER}", ['"a, b"'] * N, seconds(truth()), *xyz(truth().gyro), *xyz(truth().accel)
     )
     npt.assert_array_equal(table(read(store(tmp_path, content), ReadOptions())), expected())
 
 
-def test_above_the_memory_limit_a_file_takes_the_samples(tmp_path: Path) -> None:
-    """The samples are the same, and stand in a memory map."""
+def test_above_the_memory_limit_the_samples_are_in_a_file(tmp_path: Path) -> None:
+    """The samples are equal and stored in a memory map."""
     recording = read(store(tmp_path, euroc(truth())), ReadOptions(memory_limit=10_000))
     npt.assert_array_equal(table(recording), expected())
     assert backing(recording.series[0].samples)
@@ -311,8 +310,8 @@ def backing(array: FloatArray) -> bool:
     return isinstance(base, memoryview) and isinstance(base.obj, mmap.mmap)
 
 
-def test_progress(tmp_path: Path) -> None:
-    """Bytes done and bytes in all, in order, to the end."""
+def test_progress_increases_to_the_file_size(tmp_path: Path) -> None:
+    """Each call gets the number of bytes read and the total."""
     calls: list[tuple[int, int]] = []
     path = store(tmp_path, plain())
     read(path, ReadOptions(progress=lambda done, size: calls.append((done, size))))
@@ -341,32 +340,31 @@ def test_progress(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_is_no_table(content: bytes, message: str, tmp_path: Path) -> None:
-    """The message says what was found and what to do."""
+def test_a_file_that_is_no_table_is_refused(content: bytes, message: str, tmp_path: Path) -> None:
+    """The error reports the content and explains the solution."""
     path = store(tmp_path, content)
     with pytest.raises(ReadError) as caught:
         read(path, ReadOptions())
     assert str(caught.value) == f"{path}: {message}"
 
 
-def test_missing_file(tmp_path: Path) -> None:
-    """A file that isn't there is a ReadError."""
+def test_a_missing_file_is_a_read_error(tmp_path: Path) -> None:
     with pytest.raises(ReadError, match=r"none\.csv: can't be opened: No such file or directory"):
         read(tmp_path / "none.csv", ReadOptions())
 
 
-def test_line_without_end(tmp_path: Path) -> None:
-    """A line of megabytes is no row, and is not held in memory as one."""
+def test_a_line_of_megabytes_is_refused(tmp_path: Path) -> None:
+    """Such a line is no row and must not fill the memory."""
     content = plain().encode() + b"1" * (12 << 20)
     with pytest.raises(ReadError, match="a line of more than 1048576 bytes; expected rows of a table"):
         read(store(tmp_path, content), ReadOptions())
 
 
 @pytest.mark.parametrize("pack", [bytes, gzip.compress])
-def test_large_files_are_described_by_their_head(
+def test_the_first_rows_describe_a_large_file(
     pack: Callable[[bytes], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Columns, units and rate stand in the first rows; the count does not."""
+    """The first rows give columns, units and rate; the number of rows stays unknown."""
     monkeypatch.setattr(text_table, "_SMALL", 1000)
     monkeypatch.setattr(text_source, "_HEAD", 4096)
     contents = text_table.describe(store(tmp_path, pack(plain().encode())), ReadOptions())
@@ -376,8 +374,8 @@ def test_large_files_are_described_by_their_head(
     assert "gyroscope unit rad/s, from the column header" in topic.note
 
 
-def test_a_table_that_is_not_clear_is_described_with_the_reason(tmp_path: Path) -> None:
-    """What can't be read yet still has columns; what is no table is an error."""
+def test_an_ambiguous_table_is_described_with_the_reason(tmp_path: Path) -> None:
+    """Such a table has columns that can be listed; a file that is no table is an error."""
     content = lines("time (s),x,y,z", seconds(truth()), *xyz(truth().gyro))
     (topic,) = text_table.describe(store(tmp_path, content), ReadOptions()).topics
     assert topic.sensors == ()
@@ -388,8 +386,8 @@ def test_a_table_that_is_not_clear_is_described_with_the_reason(tmp_path: Path) 
         text_table.describe(store(tmp_path, "hello\nworld\n\n"), ReadOptions())
 
 
-def test_what_tables_lack_is_refused(tmp_path: Path) -> None:
-    """A table has columns and no topics: nothing that was asked for is passed over."""
+def test_topics_of_a_table_are_refused(tmp_path: Path) -> None:
+    """A table has no topics, so the option must not be ignored."""
     path = store(tmp_path, plain())
     with pytest.raises(ChoiceError) as caught:
         read(path, ReadOptions(topics=("/imu",)))
@@ -398,8 +396,10 @@ def test_what_tables_lack_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("compress", [bz2.compress, xz, zstd, lz4_frame])
-def test_damage_within_a_compressed_file_ends_it(compress: Callable[[bytes], bytes], tmp_path: Path) -> None:
-    """Each package has errors of its own: what was unpacked before is read, or nothing was."""
+def test_a_damaged_compressed_file_is_read_up_to_the_damage(
+    compress: Callable[[bytes], bytes], tmp_path: Path
+) -> None:
+    """Each package raises different errors. If nothing was unpacked, the file is refused."""
     path = tmp_path / "log.csv"
     text_source = "t,gyro_x,gyro_y,gyro_z\n" + "".join(f"{i / 100},0.{i:05},0.2,0.3\n" for i in range(20_000))
     data = bytearray(compress(text_source.encode()))

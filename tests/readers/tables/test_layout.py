@@ -1,4 +1,4 @@
-"""How a text is laid out, from a few lines: delimiter, rows, header, units, preamble."""
+"""The layout of a text from a few lines: delimiter, rows, header, units, preamble."""
 
 import pytest
 
@@ -31,11 +31,11 @@ def found(*lines: str) -> TextLayout:
         (("1\t2\t3",) * 2, "\t", 3),
         (("1|2|3",) * 2, "|", 3),
         (("1 \t 2  3",) * 2, BLANKS, 3),
-        # Decimal commas leave the other delimiter.
+        # Decimal commas exclude the comma as delimiter.
         (("1,5;2,5;3,5",) * 2, ";", 3),
-        # A second delimiter that makes more cells.
+        # The delimiter that gives more cells wins.
         (("1,2,3;4,5,6;7,8,9",) * 2, ",", 7),
-        # A spreadsheet's word goes first, in the first two lines.
+        # A spreadsheet's "sep=" in the first two lines has priority.
         (("sep=;", "1 2 3;4 5 6;7;8;9;10"), ";", 6),
         (("", "SEP=;", *("1,1;1,2;1,3",) * 2), ";", 3),
         (('sep="|"', "1|2|3|x,y,z", "1|2|3|x,y,z"), "|", 4),
@@ -46,14 +46,14 @@ def found(*lines: str) -> TextLayout:
         (("sep=;", *ROWS), ",", 3),
     ],
 )
-def test_delimiters(lines: tuple[str, ...], delimiter: str, width: int) -> None:
-    """The one that gives most cells, unless the log names it."""
+def test_the_delimiter_gives_the_most_cells(lines: tuple[str, ...], delimiter: str, width: int) -> None:
+    """A delimiter that the log names has priority."""
     layout = found(*lines)
     assert (layout.delimiter, layout.width) == (delimiter, width)
 
 
-def test_a_delimiter_of_one_line_is_none() -> None:
-    """It needs two lines, or all there are."""
+def test_a_delimiter_must_be_in_two_lines() -> None:
+    """If there is only one line, that line is enough."""
     assert found("1;2;3").delimiter == ";"
     assert find_layout(["1;2;3", "hello"]) is None
     assert find_layout(["1,2", "3,4"]) is None
@@ -71,8 +71,10 @@ def test_a_delimiter_of_one_line_is_none() -> None:
         (("# a rest", "t;gz"), "{0};{0},5", 2, ("t", "gz")),
     ],
 )
-def test_a_log_of_one_axis(head: tuple[str, ...], row: str, width: int, headers: tuple[str, ...]) -> None:
-    """One or two columns, where most lines are nothing but numbers and there are ten of them."""
+def test_ten_lines_of_one_or_two_numbers_are_a_table(
+    head: tuple[str, ...], row: str, width: int, headers: tuple[str, ...]
+) -> None:
+    """Most lines must contain only numbers."""
     rows = [row.format(i) for i in range(10)]
     layout = found(*head, *rows)
     assert (layout.width, layout.headers, len(layout.rows)) == (width, headers, 10)
@@ -80,8 +82,11 @@ def test_a_log_of_one_axis(head: tuple[str, ...], row: str, width: int, headers:
     assert find_layout([*rows, *(f"line {i} of a text" for i in range(7))]) is None
 
 
-def test_a_header_settles_which_delimiter_is_meant() -> None:
-    """Blanks in dates make more cells than there are names; a delimiter of half the cells is looked at."""
+def test_a_header_identifies_the_delimiter() -> None:
+    """Blanks in dates give more cells than there are names.
+
+    A delimiter is considered if it gives at least half of the cells.
+    """
     rows = ("2024 01 01;1;2;3", "2024 01 01;4;5;6")
     assert (found(*rows).delimiter, found("t;x;y;z", *rows).delimiter) == (";", ";")
     rows = ("2024 01 01 00 00;1;2;3", "2024 01 01 00 01;4;5;6")
@@ -101,13 +106,13 @@ def test_a_header_settles_which_delimiter_is_meant() -> None:
         ("", ",", [""]),
     ],
 )
-def test_cells_of_a_line(line: str, delimiter: str, cells: list[str]) -> None:
-    """Without blanks around them; quotation marks hide a delimiter."""
+def test_a_line_is_split_into_stripped_cells(line: str, delimiter: str, cells: list[str]) -> None:
+    """A delimiter within quotation marks does not split."""
     assert split_line(line, delimiter) == cells
 
 
-def test_rows_of_a_tag() -> None:
-    """In one column, or in any; with quotation marks or without."""
+def test_rows_are_selected_by_a_tag() -> None:
+    """The tag is in a given column or in any, with or without quotation marks."""
     lines = ["imu,1", "'imu',2", "1,imu", "imux,1", ""]
     assert rows_of_tag(lines, ",", (0, "imu")) == ["imu,1", "'imu',2"]
     assert rows_of_tag(lines, ",", (1, "imu")) == ["1,imu"]
@@ -125,8 +130,8 @@ def test_rows_of_a_tag() -> None:
         ([4], 5, 4),
     ],
 )
-def test_rows_begin_where_most_lines_are_rows(fitting: list[int], lines: int, start: int) -> None:
-    """Six of ten, of the next eight lines or of those that are left."""
+def test_rows_start_where_most_lines_are_rows(fitting: list[int], lines: int, start: int) -> None:
+    """Six of ten of the next eight lines must be rows, or of the remaining lines."""
     assert _start(fitting, lines) == start
 
 
@@ -135,22 +140,22 @@ def test_rows_begin_where_most_lines_are_rows(fitting: list[int], lines: int, st
     [
         ([["1", "2"]], (0, [])),
         ([["1", "2", "3"]], (3, [0])),
-        # Four of ten cells, the empty ones left out.
+        # At least four of ten non-empty cells must be numbers.
         ([["1", "2", "3", "4", *"abcdef"]], (10, [0])),
         ([["1", "2", "3", "4", *"abcdefg"]], (0, [])),
         ([["1", "2", "3", "4", *"abcdef", "", ""]], (12, [0])),
-        # The most cells win, of two equal ones the wider.
+        # The width with the most cells wins; at a tie the larger width.
         ([["1"] * 3] * 3 + [["1"] * 4] * 2, (3, [0, 1, 2])),
         ([["1"] * 4] * 3 + [["1"] * 6] * 2, (6, [3, 4])),
         ([["1"] * 51] * 2 + [["1"] * 99], (51, [0, 1])),
         ([["1"] * 50, ["1"] * 51], (51, [1])),
         ([["1"] * 49, ["1"] * 50], (50, [1])),
-        # Sparse rows belong to a table of that width.
+        # Sparse rows belong to the table if they have its width.
         ([["1", "2", "3"], ["", "1", ""], ["", "", ""], ["a", "1", ""]], (3, [0, 1])),
     ],
 )
-def test_which_lines_are_rows(rows: list[list[str]], expected: tuple[int, list[int]]) -> None:
-    """Three numbers or more, in cells of which enough are numbers."""
+def test_a_row_has_three_numbers(rows: list[list[str]], expected: tuple[int, list[int]]) -> None:
+    """Enough of its cells must be numbers."""
     assert _fitting(rows, ".") == expected
 
 
@@ -165,8 +170,8 @@ def test_which_lines_are_rows(rows: list[list[str]], expected: tuple[int, list[i
         (["1,"], "."),
     ],
 )
-def test_the_decimal_sign(row: list[str], decimal: str) -> None:
-    """The sign that more numbers have, the point where there are as many."""
+def test_the_decimal_sign_is_the_more_frequent_one(row: list[str], decimal: str) -> None:
+    """At a tie it is the point."""
     assert found(";".join(["1", "2", "3", *row])).decimal == decimal
 
 
@@ -177,16 +182,16 @@ def test_the_decimal_sign(row: list[str], decimal: str) -> None:
         (("one,two,three", *ROWS), ("one", "two", "three"), (), (), 1),
         (("note", "", "one,two,three", *ROWS), ("one", "two", "three"), (), ("note",), 3),
         (("note", *ROWS), (), (), ("note",), 1),
-        # A mark of comments is no name.
+        # A comment mark is not a name.
         (("#,one,two,three", *ROWS), ("one", "two", "three"), (), (), 1),
         (("//,one,two,three", *ROWS), ("one", "two", "three"), (), (), 1),
-        # A row of units; three cells of ten are enough.
+        # A row of units needs units in three of ten cells.
         (("t,a,b", "[s],(g),note", *ROWS), ("t", "a", "b"), ("s", "g", None), (), 2),
         (("s,g,g", *ROWS), (), ("s", "g", "g"), ("s,g,g",), 1),
-        # One cell too many where the last is empty, or one too few beside an empty column.
+        # The header has an empty last cell, or one cell fewer than the rows because a column is empty.
         (("one,two,three,", *ROWS), ("one", "two", "three"), (), (), 1),
         (("one,two,three", "1,2,3,", "4,5,6,", "7,8,9,"), ("one", "two", "three", ""), (), (), 1),
-        # Two rows of names.
+        # The header has two rows of names.
         (("g,,", "x,y,z", *ROWS), ("g x", "g y", "g z"), (), ("g,,",), 2),
         (("x,y,z", *ROWS), ("x", "y", "z"), (), (), 1),
         (("g,", "x,y,z", *ROWS), ("g x", "g y", "g z"), (), ("g,",), 2),
@@ -198,7 +203,7 @@ def test_the_decimal_sign(row: list[str], decimal: str) -> None:
             (),
             2,
         ),
-        # Names that stand for three columns.
+        # A name stands for three columns.
         (
             ("t,gyro,x,y,z,acc,x,y,z", *("1,2,3,4,5,6,7,8,9",) * 3),
             ("t", "gyro", "gyro x", "gyro y", "gyro z", "acc", "acc x", "acc y", "acc z"),
@@ -209,14 +214,14 @@ def test_the_decimal_sign(row: list[str], decimal: str) -> None:
         (("gyro,x,y", *ROWS), ("gyro", "x", "y"), (), (), 1),
     ],
 )
-def test_headers(
+def test_the_header_is_the_last_line_of_names_above_the_rows(
     lines: tuple[str, ...],
     headers: tuple[str, ...],
     units: tuple[str | None, ...],
     preamble: tuple[str, ...],
     start: int,
 ) -> None:
-    """The last line of names above the rows, and what stands above it."""
+    """The lines above the header are the preamble."""
     layout = found(*lines)
     assert (layout.headers, layout.units, layout.preamble, layout.start) == (headers, units, preamble, start)
     assert layout.mismatch is None
@@ -233,8 +238,8 @@ def test_headers(
         ("one,two,three,", None),
     ],
 )
-def test_names_that_do_not_fit(header: str, mismatch: int | None) -> None:
-    """One name too many or too few is said; a line that differs by more is no header."""
+def test_one_name_too_many_or_too_few_is_reported(header: str, mismatch: int | None) -> None:
+    """A line that differs by more is not a header."""
     layout = found(header, *ROWS)
     assert layout.mismatch == mismatch
     assert layout.headers == (("one", "two", "three") if header == "one,two,three," else ())
@@ -252,13 +257,12 @@ def test_names_that_do_not_fit(header: str, mismatch: int | None) -> None:
         ("note", None),
     ],
 )
-def test_a_stated_rate(line: str, rate: float | None) -> None:
-    """In Hz or kHz, above the rows; zero is none."""
+def test_a_rate_above_the_rows_is_read(line: str, rate: float | None) -> None:
+    """The unit is Hz or kHz; a rate of zero is ignored."""
     assert found(line, "one,two,three", *ROWS).rate_hz == rate
 
 
-def test_quotation_marks_and_decimal_commas() -> None:
-    """Rows with quotation marks are told from those without; cells come with a decimal point."""
+def test_quotation_marks_are_detected_and_decimal_commas_become_points() -> None:
     assert [found(*ROWS).quoted, found('"a",b,c', *ROWS).quoted, found(*ROWS, '"1",2,3').quoted] == [
         False,
         False,
@@ -281,6 +285,5 @@ def test_quotation_marks_and_decimal_commas() -> None:
         ([], None),
     ],
 )
-def test_a_spreadsheet_names_its_delimiter_at_the_top(lines: list[str], delimiter: str | None) -> None:
-    """In the first line or the second."""
+def test_the_first_or_second_line_can_name_the_delimiter(lines: list[str], delimiter: str | None) -> None:
     assert _named_delimiter(lines) == delimiter

@@ -1,4 +1,4 @@
-"""What an error tells the user to type is typed here, on the file it was said of, and works."""
+"""The remedies in error messages work on the file that caused the error."""
 
 import re
 from collections.abc import Callable
@@ -23,14 +23,14 @@ def sensors() -> list[list[str]]:
 
 
 def refused(path: Path, **options: Any) -> str:  # noqa: ANN401 - options of any kind
-    """Return what is said of a log that can't be read yet."""
+    """Return the error message of a log that can't be read without options."""
     with pytest.raises(ChoiceError) as caught:
         read(path, **options)
     return str(caught.value)
 
 
 def is_truth(recording: Recording) -> None:
-    """Check that the samples are those that were written, each in its axis."""
+    """Check that each axis has the samples that were written."""
     for sensor, values in (("gyroscope", truth().gyro), ("accelerometer", truth().accel)):
         for index, axis in enumerate("xyz"):
             samples = recording.axis(sensor, axis).samples
@@ -41,8 +41,8 @@ def is_truth(recording: Recording) -> None:
     "step", [100, 1000, 1, 20, 2, 1e-5, 5e-6, 3e4, 5e11], ids=lambda step: f"step {step:g}"
 )
 @pytest.mark.parametrize("name", ["time", "Timestamp", "t"])
-def test_a_time_without_unit(step: float, name: str, tmp_path: Path) -> None:
-    """Each unit that is named, the name in the header and the rate give the rate that was stated."""
+def test_each_proposed_time_unit_gives_the_reported_rate(step: float, name: str, tmp_path: Path) -> None:
+    """The option, the unit in the header and the rate have the same effect."""
     path = tmp_path / "log.csv"
     times = [step * i for i in range(N)]
     path.write_text(lines(f"{name},{SI}", times, *sensors()), encoding="utf-8")
@@ -54,7 +54,7 @@ def test_a_time_without_unit(step: float, name: str, tmp_path: Path) -> None:
         is_truth(recording)
         assert recording.series[0].rate_hz == pytest.approx(rate, rel=1e-3)
     if step in {2, 20, 3e4}:
-        # In one unit only it is the rate of an IMU.
+        # Only one unit gives the rate of an IMU.
         assert 1 <= read(path).series[0].rate_hz <= 20_000
         return
     message = refused(path)
@@ -64,7 +64,7 @@ def test_a_time_without_unit(step: float, name: str, tmp_path: Path) -> None:
         assert read(path, time_unit=unit).series[0].rate_hz == pytest.approx(float(rate), rel=1e-3)
         assert read(path, rate_hz=float(rate)).series[0].rate_hz == pytest.approx(float(rate), rel=1e-3)
     column = re.search(r"such as (\w+),", message)
-    # A header names a unit; a rate that no IMU has only the user gives.
+    # A header is proposed for plausible rates; an unusual rate must be given as an option.
     assert (column is None) == all(not 1 <= float(rate) <= 20_000 for rate, _ in said)
     if column is None:
         return
@@ -73,8 +73,8 @@ def test_a_time_without_unit(step: float, name: str, tmp_path: Path) -> None:
     is_truth(read(named))
 
 
-def test_a_rate_that_no_unit_gives(tmp_path: Path) -> None:
-    """The time is left out then, and it is said."""
+def test_a_given_rate_that_fits_no_unit_replaces_the_time(tmp_path: Path) -> None:
+    """A finding reports that the time column is unused."""
     path = tmp_path / "log.csv"
     path.write_text(lines(f"time,{SI}", [100 * i for i in range(N)], *sensors()), encoding="utf-8")
     recording = read(path, rate_hz=123.0)
@@ -83,8 +83,8 @@ def test_a_rate_that_no_unit_gives(tmp_path: Path) -> None:
     is_truth(recording)
 
 
-def test_a_unit_of_a_date_is_refused(tmp_path: Path) -> None:
-    """A date has no unit; a wrong unit is named."""
+def test_a_time_unit_for_a_date_is_refused(tmp_path: Path) -> None:
+    """A date has no unit. Unknown units are refused too."""
     path = tmp_path / "log.csv"
     stamps = [f"2026-11-22 10:00:{i // 10:02d}.{i % 10}" for i in range(N)]
     path.write_text(lines(f"time,{SI}", stamps, *sensors()), encoding="utf-8")
@@ -111,8 +111,8 @@ TABLES: dict[str, tuple[str, Callable[..., list[Any]], dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_columns_that_are_listed(name: str, tmp_path: Path) -> None:
-    """The error lists names or first values, and its form with these columns reads the table."""
+def test_a_columns_text_of_the_listed_columns_works(name: str, tmp_path: Path) -> None:
+    """The error lists names or first values, and the form of a columns text."""
     header, order, options, columns = TABLES[name]
     path = tmp_path / "log.csv"
     t, (gx, gy, gz, ax, ay, az) = [f"{0.01 * i:.2f}" for i in range(N)], sensors()
@@ -128,14 +128,14 @@ FORM = "of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their numbers f
 
 
 def proposed(message: str) -> str:
-    """Return the columns text of a message."""
+    """Return the columns text that a message proposes."""
     match = re.search(r"in a columns text such as (\S+) \(numbers", message)
     assert match is not None, message
     return match[1]
 
 
-def test_a_log_of_one_axis_without_names(tmp_path: Path) -> None:
-    """The form in the error has one axis, and reads it."""
+def test_the_columns_text_of_a_log_of_one_axis_works(tmp_path: Path) -> None:
+    """The error proposes a form with one axis."""
     path = tmp_path / "log.csv"
     path.write_text(lines("", [f"{0.01 * i:.2f}" for i in range(N)], sensors()[2]), encoding="utf-8")
     assert "in a columns text of the form t=TIME,gz=Z (names" in refused(path)
@@ -144,8 +144,8 @@ def test_a_log_of_one_axis_without_names(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("wrong", ["g=1:3", "g=gx+gy+gq", "t=0", "gyro=1:4", "g=4:9,a=0", "g=1:4,a=90:93"])
-def test_a_wrong_columns_text_is_put_right(wrong: str, tmp_path: Path) -> None:
-    """The text that is proposed instead takes the columns that the names tell."""
+def test_a_correct_columns_text_is_proposed_for_a_wrong_one(wrong: str, tmp_path: Path) -> None:
+    """The proposal uses the columns with recognised names."""
     path = tmp_path / "log.csv"
     t = [f"{0.01 * i:.2f}" for i in range(N)]
     path.write_text(lines(f"time (s),{PLAIN}", t, *sensors()), encoding="utf-8")
@@ -156,7 +156,7 @@ def test_a_wrong_columns_text_is_put_right(wrong: str, tmp_path: Path) -> None:
 
 
 def test_a_table_without_three_numbers_gets_no_suggestion(tmp_path: Path) -> None:
-    """No example is better than one that can't work."""
+    """An example that can't work would mislead."""
     path = tmp_path / "log.csv"
     path.write_text(lines("time,lat,lon,alt", list(range(N)), *xyz(truth().gyro)), encoding="utf-8")
     assert "in a columns text of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names" in refused(path)
@@ -166,8 +166,8 @@ def test_a_table_without_three_numbers_gets_no_suggestion(tmp_path: Path) -> Non
     "shape", ["n23", "2n3", "1n6", "n6", "6n", "n7"], ids=lambda shape: f"array of {shape}"
 )
 @pytest.mark.parametrize("suffix", [".npy", ".npz"])
-def test_arrays_of_any_shape(shape: str, suffix: str, tmp_path: Path) -> None:
-    """The message contains the shape and the form of a columns text."""
+def test_the_error_contains_the_shape_of_an_array(shape: str, suffix: str, tmp_path: Path) -> None:
+    """It also contains the form of a columns text."""
     both = np.stack([truth().gyro, truth().accel], axis=1)
     flat = both.reshape(-1, 6)
     array = {
@@ -190,8 +190,8 @@ def test_arrays_of_any_shape(shape: str, suffix: str, tmp_path: Path) -> None:
     is_truth(read(path, columns=columns, rate_hz=None if "t=" in columns else 100.0, gyro_unit="rad/s"))
 
 
-def test_an_array_that_is_too_wide(tmp_path: Path) -> None:
-    """Its columns alone are a table."""
+def test_an_array_that_is_too_wide_is_refused(tmp_path: Path) -> None:
+    """The error asks the user to save only the sensor columns."""
     flat = np.column_stack([truth().gyro, truth().accel])
     wide = np.column_stack([flat, np.zeros((N, 70))])
     path = tmp_path / "log.npy"
@@ -205,7 +205,7 @@ def test_an_array_that_is_too_wide(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("write", ["csv", "npy", "jsonl"])
 def test_one_refusal_lists_everything_missing(write: str, tmp_path: Path) -> None:
-    """Columns first, then rate and unit together; what it names, typed once, reads."""
+    """The error lists columns first, then rate and unit. With all of them given, the log is read."""
     path = tmp_path / f"log.{write}"
     both = np.column_stack([truth().deg, truth().g])
     if write == "csv":
@@ -223,8 +223,8 @@ def test_one_refusal_lists_everything_missing(write: str, tmp_path: Path) -> Non
     is_truth(read(path, columns=columns, rate_hz=100.0, gyro_unit="deg/s"))
 
 
-def test_a_wrong_unit_behind_one_axis_is_refused_and_a_missing_one_is_not(tmp_path: Path) -> None:
-    """wx(rad/s), wy, wz have one unit; xRate (rad/s), yRate (deg/s) have two."""
+def test_a_unit_behind_one_axis_applies_to_all_three(tmp_path: Path) -> None:
+    """In wx(rad/s), wy, wz all have one unit; xRate (rad/s), yRate (deg/s) contradict each other."""
     path = tmp_path / "log.csv"
     t = [f"{0.01 * i:.2f}" for i in range(N)]
     path.write_text(lines("t_s,wx(rad/s),wy,wz,ax(m/s^2),ay,az", t, *sensors()), encoding="utf-8")
@@ -233,8 +233,8 @@ def test_a_wrong_unit_behind_one_axis_is_refused_and_a_missing_one_is_not(tmp_pa
     assert "the axes of the gyroscope have different units" in refused(path)
 
 
-def test_several_proposals_for_the_same_sensors_are_completed_too(tmp_path: Path) -> None:
-    """Two IMUs without a time: each of the texts reads with the rate and the unit that are asked for."""
+def test_each_proposal_works_with_the_requested_rate_and_unit(tmp_path: Path) -> None:
+    """The log has two IMUs and no time."""
     path = tmp_path / "log.csv"
     header = ",".join(f"imu{i}_{sensor}{axis}" for i in (1, 2) for sensor in "ga" for axis in "xyz")
     both = np.column_stack([truth().deg, truth().g]).T.tolist()

@@ -1,4 +1,4 @@
-"""What a table could be misread as: rows of several sensors, units in names, sensors nobody found."""
+"""Tables that are easy to misread: rows of several sensors, units in names, unrecognised sensors."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ T = truth()
 
 
 def refused(path: Path) -> tuple[str, list[str]]:
-    """Return the message of a refusal, and the columns texts that it offers."""
+    """Return the error message and the columns texts that it offers."""
     with pytest.raises(ChoiceError) as caught:
         read(path)
     message = str(caught.value)
@@ -32,8 +32,8 @@ def tagged(folder: Path, header: str, *rows: tuple[str, FloatArray]) -> Path:
     return path
 
 
-def test_tagged_rows_under_the_header_of_one_of_them(tmp_path: Path) -> None:
-    """Each sensor has its own rows, at its own rate, whatever the header calls the columns."""
+def test_tags_override_a_header_that_fits_only_one_sensor(tmp_path: Path) -> None:
+    """Each sensor gets its own rows and rate, whatever the header calls the columns."""
     header = "sensor,time (s),UncalGyroX (rad/s),UncalGyroY (rad/s),UncalGyroZ (rad/s)"
     path = tagged(tmp_path, header, ("UncalAccel", T.accel), ("UncalGyro", T.gyro))
     recording = read(path)
@@ -46,8 +46,8 @@ def test_tagged_rows_under_the_header_of_one_of_them(tmp_path: Path) -> None:
     assert decided["accelerometer unit"].startswith("m/s^2, inferred: median magnitude")
 
 
-def test_tagged_rows_of_two_gyroscopes(tmp_path: Path) -> None:
-    """Which is meant is for the user to say; what the message offers reads one of them."""
+def test_tagged_rows_of_two_gyroscopes_are_refused(tmp_path: Path) -> None:
+    """The user must choose; the columns texts in the error work."""
     header = "sensor,time (s),gyro_x (rad/s),gyro_y (rad/s),gyro_z (rad/s)"
     path = tagged(tmp_path, header, ("gyro_left", T.gyro), ("gyro_right", -T.gyro))
     message, ready = refused(path)
@@ -58,8 +58,8 @@ def test_tagged_rows_of_two_gyroscopes(tmp_path: Path) -> None:
         assert np.array_equal(x.samples, sign * T.gyro[:, 0])
 
 
-def test_tags_that_name_only_another_sensor(tmp_path: Path) -> None:
-    """The header says gyroscope, the rows accelerometer: one of them is wrong."""
+def test_tags_that_contradict_the_header_are_refused(tmp_path: Path) -> None:
+    """The header contains a gyroscope and the tags an accelerometer, so one of them is wrong."""
     header = "sensor,time (s),gyro_x (rad/s),gyro_y (rad/s),gyro_z (rad/s)"
     path = tagged(tmp_path, header, ("accel", T.accel))
     message, _ = refused(path)
@@ -67,8 +67,8 @@ def test_tags_that_name_only_another_sensor(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["device", "frame_id", "header.frame_id", "source", "imu"])
-def test_rows_of_several_devices(name: str, tmp_path: Path) -> None:
-    """A column that tells devices apart, by text or number, is never read across."""
+def test_rows_of_several_devices_are_refused(name: str, tmp_path: Path) -> None:
+    """A column with names or numbers of devices shows that the rows must not be mixed."""
     header = f"{name},time (s),gyro_x (rad/s),gyro_y (rad/s),gyro_z (rad/s)"
     for tags in (("left", "right"), ("0", "1")):
         path = tagged(tmp_path, header, (tags[0], T.gyro), (tags[1], -T.gyro))
@@ -78,8 +78,8 @@ def test_rows_of_several_devices(name: str, tmp_path: Path) -> None:
         assert np.array_equal(x.samples, -T.gyro[:, 0])
 
 
-def test_a_constant_name_or_a_state_is_no_device(tmp_path: Path) -> None:
-    """One frame for all rows, or a column of remarks, leaves the table as it is."""
+def test_a_constant_name_or_a_state_is_not_a_device(tmp_path: Path) -> None:
+    """The table has one frame for all rows and a column of remarks; all rows are read."""
     rows = [f"{time},imu_link,{'still' if i % 2 else 'moving'},{','.join(cells(T.gyro[i]))}"
             for i, time in enumerate(seconds(T))]  # fmt: skip
     path = tmp_path / "log.csv"
@@ -98,8 +98,8 @@ def test_a_constant_name_or_a_state_is_no_device(tmp_path: Path) -> None:
         ("gx_2", "gy_2", "gz_2", "ax_2", "ay_2", "az_2"),
     ],
 )
-def test_prefixes_and_suffixes_are_no_units(names: tuple[str, ...], tmp_path: Path) -> None:
-    """The g of imu1_gx is the gyroscope, and no acceleration in g."""
+def test_prefixes_and_suffixes_are_not_units(names: tuple[str, ...], tmp_path: Path) -> None:
+    """The g in imu1_gx means gyroscope, not acceleration in g."""
     path = tmp_path / "log.csv"
     content = lines("time (s)," + ",".join(names), seconds(T), *xyz(T.gyro), *xyz(T.accel))
     path.write_text(content, encoding="utf-8")
@@ -126,8 +126,8 @@ def test_prefixes_and_suffixes_are_no_units(names: tuple[str, ...], tmp_path: Pa
         ),
     ],
 )
-def test_two_imus_are_offered_pair_by_pair(header: str, ready: list[str], tmp_path: Path) -> None:
-    """Each gyroscope with the accelerometer of the same device, wherever it stands."""
+def test_two_imus_are_offered_as_pairs(header: str, ready: list[str], tmp_path: Path) -> None:
+    """Each text has the gyroscope and the accelerometer of the same device, in any order of columns."""
     is_gyro = ["g" in name.removeprefix("imu") for name in header.split(",")[1::3]]
     columns = [axis for gyro in is_gyro for axis in xyz(T.gyro if gyro else T.accel)]
     path = tmp_path / "log.csv"
@@ -141,8 +141,8 @@ def test_two_imus_are_offered_pair_by_pair(header: str, ready: list[str], tmp_pa
         assert np.array_equal(recording.axis("accelerometer", "z").samples, T.accel[:, 2])
 
 
-def test_a_sensor_that_was_not_recognised_is_reported(tmp_path: Path) -> None:
-    """Its columns are listed, and the text that the finding offers reads them."""
+def test_an_unrecognised_sensor_is_reported(tmp_path: Path) -> None:
+    """The finding lists its columns, and the columns text in its advice works."""
     header = "time (s),turn_x,turn_y,turn_z,ax,ay,az,humidity,mag_x,mag_y,mag_z,qw"
     zero = ["0"] * N
     content = lines(header, seconds(T), *xyz(T.gyro), *xyz(T.accel), zero, *[zero] * 4)
@@ -161,8 +161,8 @@ def test_a_sensor_that_was_not_recognised_is_reported(tmp_path: Path) -> None:
     assert np.array_equal(both.axis("gyroscope", "x").samples, T.gyro[:, 0])
 
 
-def test_columns_that_can_be_no_sensor_are_a_remark(tmp_path: Path) -> None:
-    """Nothing is offered where nothing fits; a table of one sensor and its time says nothing."""
+def test_other_columns_are_reported_as_info_without_advice(tmp_path: Path) -> None:
+    """A table that contains only one sensor and its time has no such finding."""
     path = tmp_path / "log.csv"
     zero = ["0"] * N
     path.write_text(lines("time (s),ax,ay,az,humidity", seconds(T), *xyz(T.accel), zero), encoding="utf-8")
@@ -174,8 +174,8 @@ def test_columns_that_can_be_no_sensor_are_a_remark(tmp_path: Path) -> None:
     assert not [finding for finding in read(path).findings if finding.code == "sensor-missing"]
 
 
-def test_raw_and_filtered_columns_are_a_choice(tmp_path: Path) -> None:
-    """``gx_raw … gx_filt …`` beside ``ax ay az``: neither is dropped, neither is guessed."""
+def test_raw_and_filtered_columns_require_a_choice(tmp_path: Path) -> None:
+    """With ``gx_raw … gx_filt …`` next to ``ax ay az``, the program must not guess which set to use."""
     names = [f"g{axis}_{what}" for what in ("raw", "filt") for axis in "xyz"]
     header = f"t,{','.join(names)},ax,ay,az"
     path = tmp_path / "log.csv"
