@@ -1,4 +1,4 @@
-"""Every real file there is: the right axes, units and rate, or a message that says exactly why not."""
+"""Every real log is read with the right axes, units and rate, or refused with a precise message."""
 
 import math
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ GYRO = ("gyro_x", "gyro_y", "gyro_z")
 ACCEL = ("accel_x", "accel_y", "accel_z")
 BOTH = GYRO + ACCEL
 
-#: Counts of an MPU-6050 at 250 deg/s and 2 g.
+#: Scales of an MPU-6050 with ranges 250 deg/s and 2 g.
 MPU = {"gyro_scale": math.radians(1 / 131), "accel_scale": G0 / 16384}
 
 
@@ -158,7 +158,7 @@ READ = (
         rate=250,
         first=((-0.003195796627551317, 1), (0.06176302954554558, 1)),
     ),
-    # Stamps step by 4.888 ms; 0.16 s are missing behind the first sample.
+    # Steps are 4.888 ms; 0.16 s are missing after the first sample.
     Known(
         files=("formats/pyulog_sample_log_small.ulg",),
         n=1298,
@@ -167,7 +167,7 @@ READ = (
     ),
     Known(files=("formats/robot_localization_test1_husky.bag",), n=11865, rate=30),
     Known(files=("formats/robot_localization_test2_jackal.bag",), n=3061, rate=50),
-    # Ten messages, stamped by the computer as they came: no rate can be right.
+    # The computer stamped ten messages on arrival, so no rate can be right.
     Known(files=("formats/novatel_ins1.bag",), n=10, rate=1500, within=0.02, options={"topic": "/gps/imu"}),
     Known(
         files=("real/broad_rest/03_undisturbed_slow_rotation_C_rest.csv",),
@@ -181,7 +181,7 @@ READ = (
         rate=399.9,
         first=((-0.00791773572564125, 1), (-0.3362545073032379, 1)),
     ),
-    # Two of three rows repeat the one before, in bursts of up to 22 ms that may hide gaps.
+    # Two of three rows repeat their predecessor, in bursts of up to 22 ms that may hide gaps.
     Known(
         files=("real/stampfly/stampfly_fft_20260113T222234.csv",),
         n=14992,
@@ -285,8 +285,8 @@ REFUSED = (
 
 
 @pytest.mark.parametrize("known", READ, ids=str)
-def test_is_read(known: Known) -> None:
-    """Axes, number of samples, rate and units are those of the file."""
+def test_a_known_log_is_read(known: Known) -> None:
+    """Axes, number of samples, rate and units must match the file."""
     recording = read(*(real_data(*file.split("/")) for file in known.files), **known.options)
     assert tuple(series.name for series in recording.series) == known.axes
     firsts = [series for series in recording.series if series.axis == "x"]
@@ -299,8 +299,8 @@ def test_is_read(known: Known) -> None:
 
 
 @pytest.mark.parametrize("known", REFUSED, ids=str)
-def test_is_refused(known: Known) -> None:
-    """The message names the file, what was found and what to do."""
+def test_a_log_without_a_solution_is_refused(known: Known) -> None:
+    """The message contains the file, its content and what to do."""
     paths = [real_data(*file.split("/")) for file in known.files]
     with pytest.raises(ImucalError) as caught:
         read(*paths, **known.options)
@@ -310,8 +310,8 @@ def test_is_refused(known: Known) -> None:
         assert part in message
 
 
-def test_every_file_is_there() -> None:
-    """A renamed log must fail a test: the tests above skip logs that are missing."""
+def test_every_known_log_exists() -> None:
+    """The tests above skip missing logs, so a renamed log would go unnoticed."""
     root = real_data()
     missing = [file for known in (*READ, *REFUSED) for file in known.files if not (root / file).exists()]
     assert missing == []

@@ -1,4 +1,4 @@
-"""Several logs: parts of one recording are joined, what does not belong together is refused."""
+"""Several logs: parts of one recording are joined, unrelated logs are refused."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,7 +21,7 @@ EUROC = (
 
 
 def part(first: int, last: int, *, later_s: float = 0.0) -> Samples:
-    """Return some of the samples, perhaps at another time."""
+    """Return some of the samples, shifted by some seconds."""
     chosen, shift = slice(first, last), round(later_s * 1e9)
     return Samples(
         stamps=TRUTH.stamps[chosen] + shift,
@@ -32,7 +32,7 @@ def part(first: int, last: int, *, later_s: float = 0.0) -> Samples:
 
 
 def table(path: Path, chosen: Samples, header: str = EUROC, *, seconds: bool = False) -> Path:
-    """Write samples as a CSV; `seconds` from the first of them instead of ns since 1970."""
+    """Write samples as a CSV with ns since 1970, or with `seconds` from the first sample."""
     lines = [header] if header else []
     for stamp, row in zip(chosen.stamps.tolist(), chosen.all.tolist(), strict=True):
         time = repr((stamp - int(TRUTH.stamps[0])) / 1e9) if seconds else str(stamp)
@@ -47,7 +47,7 @@ def rows(recording: Recording) -> np.ndarray[tuple[int, ...], np.dtype[np.float6
 
 
 def refusal(paths: Sequence[Path]) -> str:
-    """Return the message with which logs are refused; it lists them and says what to do."""
+    """Return the error message for logs, which lists them and explains what to do."""
     with pytest.raises(ChoiceError) as caught:
         read(*paths)
     message = str(caught.value)
@@ -58,8 +58,8 @@ def refusal(paths: Sequence[Path]) -> str:
 
 
 @pytest.mark.parametrize("kind", ["mcap", "bag", "csv", "db3"])
-def test_units_that_were_recorded_together_are_refused(kind: str, tmp_path: Path) -> None:
-    """Three units with overlapping stamps were read as one at three times the rate."""
+def test_logs_of_simultaneous_units_are_refused(kind: str, tmp_path: Path) -> None:
+    """Joining three units with overlapping stamps would triple the rate."""
     paths = []
     for i in range(3):
         chosen = part(300 * i, 300 * i + 300, later_s=-3.0 * i)
@@ -85,7 +85,7 @@ def test_units_that_were_recorded_together_are_refused(kind: str, tmp_path: Path
 
 @pytest.mark.parametrize("kind", ["mcap", "bag", "db3"])
 def test_a_folder_of_unrelated_logs_is_refused(kind: str, tmp_path: Path) -> None:
-    """Without a metadata.yaml a folder is no bag; its logs are listed."""
+    """Without a metadata.yaml a folder is not a bag; the error lists its logs."""
     folder = tmp_path / "bench"
     folder.mkdir()
     for i in range(2):
@@ -115,10 +115,10 @@ def test_a_folder_of_unrelated_logs_is_refused(kind: str, tmp_path: Path) -> Non
         (("sn_0017.mcap", "sn_0018.mcap"), "the numbers in their names are of devices, not of parts"),
     ],
 )
-def test_logs_that_only_follow_each_other_are_refused(
+def test_consecutive_logs_without_a_common_name_are_refused(
     names: tuple[str, str], why: str, tmp_path: Path
 ) -> None:
-    """A bench that logs one unit after the other leaves no pause either."""
+    """A test bench that logs one unit after another leaves no pause either."""
     paths = [
         write_mcap(tmp_path / name, imu_messages(part(300 * i, 300 * i + 300)))
         for i, name in enumerate(names)
@@ -139,8 +139,8 @@ def test_logs_that_only_follow_each_other_are_refused(
         ("rest_9.csv", "rest_10.csv", "rest_11.csv"),
     ],
 )
-def test_true_splits_join_by_themselves(names: tuple[str, ...], tmp_path: Path) -> None:
-    """Splits of rosbag2 and rosbag, rotated tables: no sample and no time is lost, and it is said."""
+def test_splits_of_one_recording_are_joined(names: tuple[str, ...], tmp_path: Path) -> None:
+    """Splits of rosbag2 and rosbag and rotated tables lose no sample. A finding reports the join."""
     paths = []
     for i, name in enumerate(names):
         chosen, path = part(300 * i, 300 * i + 300), tmp_path / name
@@ -163,8 +163,8 @@ def test_true_splits_join_by_themselves(names: tuple[str, ...], tmp_path: Path) 
     )  # fmt: skip
 
 
-def test_what_is_missing_between_parts_is_a_gap(tmp_path: Path) -> None:
-    """At the stamp of the first sample behind it, however many parts stand before."""
+def test_missing_samples_between_parts_are_a_gap(tmp_path: Path) -> None:
+    """The gap is at the stamp of the first sample after it, for any number of parts."""
     pieces = [(0, 200), (210, 300), (300, 450), (457, 900)]
     paths = [write_mcap(tmp_path / f"log_{i}.mcap", imu_messages(part(*p))) for i, p in enumerate(pieces)]
     clock = read(*paths).series[0].clock
@@ -172,8 +172,8 @@ def test_what_is_missing_between_parts_is_a_gap(tmp_path: Path) -> None:
     assert clock.duration_s == pytest.approx(9.0)
 
 
-def test_other_topics_frames_columns_and_units_are_refused(tmp_path: Path) -> None:
-    """Each is named as it is in each log."""
+def test_different_topics_frames_columns_and_units_are_refused(tmp_path: Path) -> None:
+    """The error shows the values of each log."""
     first = write_mcap(tmp_path / "a_0.mcap", imu_messages(part(0, 300)))
     topic = write_mcap(tmp_path / "a_1.mcap", imu_messages(part(300, 600), topic="/imu2/data"))
     assert "their topics differ (/imu/data and /imu2/data)" in refusal([first, topic])
@@ -191,7 +191,7 @@ def test_other_topics_frames_columns_and_units_are_refused(tmp_path: Path) -> No
 
 
 def test_parts_join_if_the_sensor_moves_in_one(tmp_path: Path) -> None:
-    """A split in which the sensor is turned has more of everything, and the same gravity."""
+    """The sensor turns in one part, so its statistics differ, but gravity is the same."""
     chosen = part(300, 600)
     turn = 0.5 * np.sin(np.arange(300) / 20)[:, None] * [1.0, 0.2, 0.1]
     moved = Samples(stamps=chosen.stamps, log=chosen.log, gyro=chosen.gyro + turn, accel=chosen.accel + turn)
@@ -202,8 +202,8 @@ def test_parts_join_if_the_sensor_moves_in_one(tmp_path: Path) -> None:
     assert read(*paths).series[0].n == 600
 
 
-def test_times_that_start_again_are_refused(tmp_path: Path) -> None:
-    """Each table from zero: nobody knows whether they follow each other or ran together."""
+def test_times_that_restart_are_refused(tmp_path: Path) -> None:
+    """Each table starts at zero, so their order is unknown."""
     paths = []
     for i in range(2):
         path = tmp_path / f"log_{i}.csv"
@@ -216,7 +216,7 @@ def test_times_that_start_again_are_refused(tmp_path: Path) -> None:
 
 
 def test_logs_without_stamps_are_refused(tmp_path: Path) -> None:
-    """Nothing says that one goes on where the other ends; joined they are one sample apart."""
+    """Nothing shows that one log continues the other."""
     paths = []
     for i in range(2):
         chosen = part(300 * i, 300 * i + 300)
@@ -231,8 +231,8 @@ def test_logs_without_stamps_are_refused(tmp_path: Path) -> None:
     assert joined.series[0].clock.missing == 0
 
 
-def test_one_sensor_each_of_different_times_is_refused(tmp_path: Path) -> None:
-    """A gyroscope's file and an accelerometer's of another day are no pair."""
+def test_a_gyroscope_and_an_accelerometer_of_different_times_are_refused(tmp_path: Path) -> None:
+    """The files were recorded an hour apart."""
     stamps = TRUTH.stamps.tolist()
     for name, values, later in (("gyro", TRUTH.gyro, 0), ("accel", TRUTH.accel, 3_600_000_000_000)):
         unit = "rad/s" if name == "gyro" else "m/s^2"
@@ -246,8 +246,8 @@ def test_one_sensor_each_of_different_times_is_refused(tmp_path: Path) -> None:
     assert read(paths[0]).series[0].n == 900
 
 
-def test_large_parts_lie_in_a_temporary_file(tmp_path: Path) -> None:
-    """Above the limit of memory the joined samples are mapped from one, and are the same."""
+def test_large_joined_logs_are_in_a_temporary_file(tmp_path: Path) -> None:
+    """Above the memory limit the joined samples are memory-mapped and equal."""
     pieces = [part(300 * i, 300 * i + 300) for i in range(3)]
     paths = [write_mcap(tmp_path / f"log_{i}.mcap", imu_messages(p)) for i, p in enumerate(pieces)]
     recording = read(*paths, memory_limit=10_000)
@@ -268,13 +268,12 @@ def test_large_parts_lie_in_a_temporary_file(tmp_path: Path) -> None:
         ("run.b_1.csv", "run.b"),
     ],
 )
-def test_the_series_of_a_name(name: str, series: str) -> None:
-    """What is left without numbers and the endings of formats."""
+def test_the_series_is_the_file_name_without_numbers_and_extensions(name: str, series: str) -> None:
     assert series_of(name) == series
 
 
 def test_the_advice_in_the_message_works(tmp_path: Path) -> None:
-    """--join, or one log at a time, in the commands that read logs."""
+    """The user can add --join or give one log at a time, in all commands that read logs."""
     for i in range(2):
         write_mcap(tmp_path / f"unit{i}.mcap", imu_messages(part(450 * i, 450 * i + 450)))
     for command in ("adev", "fit"):
@@ -292,7 +291,7 @@ def test_the_advice_in_the_message_works(tmp_path: Path) -> None:
 
 
 def test_info_describes_the_logs_of_a_folder_one_by_one(tmp_path: Path) -> None:
-    """Not as one log of twice the rate."""
+    """They are not one log with twice the rate."""
     folder = tmp_path / "bench"
     folder.mkdir()
     for i in range(2):

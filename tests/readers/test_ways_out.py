@@ -1,4 +1,4 @@
-"""Formats that are not read: each is named with a way out, and what can be typed here is typed and reads."""
+"""Unsupported formats: the error names the format and a way to convert it, and that way works."""
 
 import json
 import lzma
@@ -35,7 +35,7 @@ def rows() -> list[dict[str, float]]:
 
 
 def refused(path: Path) -> str:
-    """Return what is said of a file, the same by `read` and by `describe`."""
+    """Return the error message for a file, which is the same for `read` and `describe`."""
     with pytest.raises(ReadError) as caught:
         read(path)
     assert str(caught.value).startswith(f"{path}: ")
@@ -50,7 +50,7 @@ def is_truth(path: Path, **options: Any) -> None:  # noqa: ANN401 - options of a
 
 
 def typed(message: str, folder: Path) -> Path:
-    """Type the command that a message names, in a folder, with this interpreter; return what it wrote."""
+    """Run the command in a message with this interpreter, and return the file that it wrote."""
     command = message[message.index("python -c ") :]
     before = set(folder.iterdir())
     shell = shutil.which("bash") or "sh"
@@ -78,7 +78,7 @@ def objects() -> np.ndarray[Any, Any]:
     return np.column_stack(list(columns().values())).astype(object)
 
 
-#: What is written, and what the message calls it; the command in the message turns it into a log.
+#: The writer of each file, and the format's name in the message.
 WITH_COMMAND: dict[str, tuple[Callable[[Path], object], str]] = {
     "log.pkl": (write_pickle, "a Python pickle, which may run any program when it is loaded"),
     "log.feather": (lambda path: pl.DataFrame(columns()).write_ipc(path), r"an Arrow \(Feather\) file"),
@@ -103,8 +103,8 @@ WITH_COMMAND: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize("name", WITH_COMMAND)
-def test_the_command_in_the_message_makes_a_log(name: str, tmp_path: Path) -> None:
-    """Typed as it stands, it writes a file that is read, with every digit."""
+def test_the_command_in_the_message_converts_the_file(name: str, tmp_path: Path) -> None:
+    """The written file has all digits."""
     write, what = WITH_COMMAND[name]
     path = tmp_path / name
     write(path)
@@ -113,8 +113,8 @@ def test_the_command_in_the_message_makes_a_log(name: str, tmp_path: Path) -> No
     is_truth(typed(message, tmp_path))
 
 
-def test_an_array_of_objects_becomes_numbers(tmp_path: Path) -> None:
-    """Its columns have no names: with those it reads."""
+def test_an_array_of_objects_is_converted_to_numbers(tmp_path: Path) -> None:
+    """Its columns have no names, so reading needs a columns text."""
     path = tmp_path / "array.npy"
     np.save(path, objects())
     is_truth(typed(refused(path), tmp_path), columns="t=0,g=1:4,a=4:7")
@@ -131,7 +131,7 @@ def write_document(path: Path) -> None:
         archive.writestr("mimetype", "application/vnd.oasis.opendocument.spreadsheet")
 
 
-#: First bytes of others, and a part of the sentence.
+#: First bytes of other formats, and a part of the message.
 NAMED: dict[str, tuple[bytes, str]] = {
     "log.xls": (bytes.fromhex("d0cf11e0a1b11ae1"), r"an old Excel workbook; save the sheet .* as CSV"),
     "LOG00001.BFL": (
@@ -150,7 +150,7 @@ NAMED: dict[str, tuple[bytes, str]] = {
 
 
 @pytest.mark.parametrize("name", NAMED)
-def test_a_foreign_format_is_named_with_a_way_out(name: str, tmp_path: Path) -> None:
+def test_the_error_for_a_foreign_format_contains_a_solution(name: str, tmp_path: Path) -> None:
     start, said = NAMED[name]
     path = tmp_path / name
     path.write_bytes(start + bytes(range(256)) * 8)
@@ -162,8 +162,8 @@ def test_a_foreign_format_is_named_with_a_way_out(name: str, tmp_path: Path) -> 
 @pytest.mark.parametrize(
     "header", ["tau,adev", "taus;deviation", '"Averaging time [s]"\tadev', "tau(s),gyro_x"]
 )
-def test_a_curve_is_refused_with_a_line_of_python_that_fits_it(header: str, tmp_path: Path) -> None:
-    """Also if the column of deviations has the name of a gyroscope axis, or the table is short."""
+def test_an_allan_curve_is_refused_with_python_code_that_fits_it(header: str, tmp_path: Path) -> None:
+    """The code also works if the deviations have the name of a gyroscope axis, or the table is short."""
     path = tmp_path / "my curve.csv"
     mark = next(mark for mark in ",;\t" if mark in header)
     times = [0.01 * 2**k for k in range(12)]
@@ -179,7 +179,7 @@ def test_a_curve_is_refused_with_a_line_of_python_that_fits_it(header: str, tmp_
     assert re.search(r"^ *N +1\.000 \[.*\] ×10⁻³$", done.stdout, re.MULTILINE), done.stdout
 
 
-def test_the_table_of_imucal_adev_is_named(tmp_path: Path) -> None:
+def test_the_table_of_imucal_adev_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "curves.csv"
     rows = "".join(f"gyro_x,{t},{t},0.1,0.05,0.2,9\n" for t in (1, 2, 4))
     path.write_text(f"axis,tau,m,adev,low,high,edf\n{rows}", encoding="utf-8")
@@ -187,8 +187,8 @@ def test_the_table_of_imucal_adev_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("write", [write_workbook, write_document])
-def test_a_spreadsheet_is_saved_as_csv(write: Callable[[Path], None], tmp_path: Path) -> None:
-    """What the spreadsheet saves is read, with semicolons and decimal commas too."""
+def test_the_error_for_a_spreadsheet_advises_csv(write: Callable[[Path], None], tmp_path: Path) -> None:
+    """The saved CSV is read, also with semicolons and decimal commas."""
     path = tmp_path / "log.xlsx"
     write(path)
     assert refused(path).endswith("save the sheet with the samples as CSV (File, Save As, CSV)")
@@ -199,7 +199,7 @@ def test_a_spreadsheet_is_saved_as_csv(write: Callable[[Path], None], tmp_path: 
     is_truth(tmp_path / "comma.csv")
 
 
-def test_a_compressed_binary_log_is_unpacked_first(tmp_path: Path) -> None:
+def test_the_error_for_a_compressed_binary_log_advises_unpacking(tmp_path: Path) -> None:
     """The unpacked file is read."""
     path, plain = tmp_path / "log.parquet.xz", tmp_path / "log.parquet"
     pl.DataFrame(columns()).write_parquet(plain)
@@ -213,7 +213,7 @@ def _element(kind: int, data: bytes) -> bytes:
 
 
 def write_matlab_object(path: Path, kind: str) -> None:
-    """Write what MATLAB writes of ``T = table(...)``: six numbers. Source: scipy.io (mxOPAQUE_CLASS)."""
+    """Write the bytes of ``T = table(...)`` in MATLAB, six numbers. Source: scipy.io (mxOPAQUE_CLASS)."""
     texts = b"".join(_element(1, text) for text in (b"T", b"MCOS", kind.encode()))
     numbers = np.array([0xDD000000, 2, 1, 1, 1, 1], dtype="<u4").tobytes()
     shape = _element(5, struct.pack("<ii", 6, 1)) + _element(1, b"")
@@ -231,15 +231,15 @@ def write_matlab_object(path: Path, kind: str) -> None:
         ("MyImu", "its arrays into separate variables, and save those"),
     ],
 )
-def test_objects_of_matlab_are_no_gyroscope(kind: str, way: str, tmp_path: Path) -> None:
-    """Their six numbers were offered as one."""
+def test_objects_of_matlab_are_refused(kind: str, way: str, tmp_path: Path) -> None:
+    """Their six numbers must not be taken for sensor axes."""
     path = tmp_path / "log.mat"
     write_matlab_object(path, kind)
     assert refused(path) == f"{path}: T is a {kind}, which only MATLAB can read; in MATLAB type {way}"
 
 
-def test_a_matlab_table_next_to_other_arrays(tmp_path: Path) -> None:
-    """Where the others hold no sensor, both ways are named; where they do, they are read."""
+def test_arrays_next_to_a_matlab_table_are_read_if_they_contain_a_sensor(tmp_path: Path) -> None:
+    """Otherwise the error contains both solutions."""
     path = tmp_path / "log.mat"
     import scipy.io
 

@@ -1,4 +1,4 @@
-"""Every awkward clock of known truth is read right, or refused with both of its readings; none wrong."""
+"""Faulty clocks with known truth are read correctly, or refused with both possible rates."""
 
 import re
 import struct
@@ -44,7 +44,7 @@ SI = "gx (rad/s),gy (rad/s),gz (rad/s),ax (m/s^2),ay (m/s^2),az (m/s^2)"
 
 
 def values_of(case: Awkward, quantum: float = 0.0) -> FloatArray:
-    """Return white samples, shape (6, n), a multiple of the quantum where there is one."""
+    """Return white samples, shape (6, n), rounded to multiples of the quantum if there is one."""
     values = np.random.default_rng(1).normal(0, 1, (6, int(case.samples.max()) + 1))[:, case.samples]
     return np.round(values / quantum) * quantum if quantum else values
 
@@ -55,25 +55,25 @@ def clock_of(case: Awkward, rate_hz: float | None = None) -> ClockReading:
 
 
 def is_right(case: Awkward) -> None:
-    """Check the rate to a thousandth, the samples that are kept, and what is said."""
+    """Check the rate to 0.1 %, the kept samples, and the findings."""
     reading = clock_of(case)
     once = np.unique(case.samples).size
     assert reading.clock.rate_hz == pytest.approx(case.rate_hz, rel=1e-3)
-    # A stamp that is wrong may take one of its neighbours with it.
+    # A wrong stamp may also exclude one of its neighbours.
     assert once - 2 <= reading.clock.n <= once
     found = [finding.code for finding in reading.findings]
     assert not case.said or case.said in found
 
 
 @pytest.mark.parametrize("name", [name for name, case in KINDS.items() if not case.refused])
-def test_awkward_clocks(name: str) -> None:
-    """Jitter, losses, coarse ticks, settings, stalls, repeats: the rate, the samples and the finding."""
+def test_a_faulty_clock_gives_rate_samples_and_finding(name: str) -> None:
+    """Faults: jitter, losses, coarse ticks, settings, stalls and repeats."""
     is_right(KINDS[name])
 
 
 @pytest.mark.parametrize("size", first_by_default(sorted(SIZES, key=lambda size: size % 3), 9))
-def test_batches_of_a_buffer(size: int) -> None:
-    """Of any size, with own ticks of 1 us to 1 ms, on clocks of ns, us and ms, fixed and random."""
+def test_batches_of_any_size_give_the_rate(size: int) -> None:
+    """Stamp intervals are 1 us to 1 ms, clocks count in ns, us or ms, and sizes are fixed or random."""
     for _, case in fifos((size,)):
         is_right(case)
     for tick in (1, US, MS):
@@ -84,7 +84,7 @@ def test_batches_of_a_buffer(size: int) -> None:
 
 @pytest.mark.parametrize("name", [name for name, case in KINDS.items() if case.refused])
 def test_both_explanations_are_reported_and_each_can_be_read(name: str, tmp_path: Path) -> None:
-    """Where most samples would be missing the user says which rate it is; each rate that is told works."""
+    """If most samples would be missing, the user must choose a rate. Each reported rate works."""
     case = KINDS[name]
     path = tmp_path / "log.csv"
     path.write_text(lines(f"t_ns,{SI}", case.stamps.tolist(), *values_of(case).tolist()), encoding="utf-8")
@@ -106,8 +106,7 @@ def test_both_explanations_are_reported_and_each_can_be_read(name: str, tmp_path
     assert (most.n, none.n) == (case.samples.size, case.samples.size)
 
 
-def test_the_advice_of_a_refusal_can_be_typed(tmp_path: Path) -> None:
-    """On the command line the refusal names the option, and with it the log is read."""
+def test_the_rate_option_in_a_refusal_works(tmp_path: Path) -> None:
     case = lossy(100.0, 0.7, n=3000)
     path = tmp_path / "log.csv"
     values = 1e-3 * values_of(case)
@@ -117,13 +116,13 @@ def test_the_advice_of_a_refusal_can_be_typed(tmp_path: Path) -> None:
     assert "--rate HZ" in refused.stderr
     typed = run("adev", path.name, "--rate", "100", cwd=tmp_path)
     assert typed.returncode == 0
-    # tau0 is the first of the averaging times.
+    # tau0 is the first averaging time.
     assert ",0.01," in typed.stdout.splitlines()[1]
 
 
 @pytest.mark.parametrize("rate", [0.5, 25_000.0])
 def test_an_implausible_rate_must_be_given(rate: float, tmp_path: Path) -> None:
-    """Fibre-optic and seismic sensors are above 20 kHz; with their rate they are read."""
+    """Fibre-optic and seismic sensors have more than 20 kHz; their rate can be given."""
     case = even(rate, n=300)
     path = tmp_path / "log.csv"
     path.write_text(lines(f"t_ns,{SI}", case.stamps.tolist(), *values_of(case).tolist()), encoding="utf-8")
@@ -136,8 +135,8 @@ def test_an_implausible_rate_must_be_given(rate: float, tmp_path: Path) -> None:
     assert read(path, rate_hz=rate).series[0].rate_hz == rate
 
 
-def test_stops_of_a_log_are_no_second_reading() -> None:
-    """Hundreds of samples in a row show the rate, however long the log was stopped between them."""
+def test_pauses_of_a_log_are_not_ambiguous() -> None:
+    """Hundreds of consecutive samples identify the rate, however long the pauses are."""
     case = throttled(200.0, 1200, 40_000, 200_000)
     assert clock_of(case).clock.rate_hz == pytest.approx(200)
     assert clock_of(case).clock.missing == 4 * 38_800
@@ -146,8 +145,8 @@ def test_stops_of_a_log_are_no_second_reading() -> None:
 @pytest.mark.parametrize(
     "name", ["300 trials of 100", "64 of 72", "half of the time", "903 Hz in 1 ms, lost 0.03"]
 )
-def test_what_is_missing_is_counted(name: str) -> None:
-    """Pauses between trials, overruns of a buffer and losses on a coarse clock."""
+def test_missing_samples_are_counted(name: str) -> None:
+    """Causes: pauses between trials, overruns of a buffer, and losses on a coarse clock."""
     case = KINDS[name]
     clock = clock_of(case).clock
     lost = int(case.samples[-1] - case.samples[0]) + 1 - case.samples.size
@@ -155,7 +154,7 @@ def test_what_is_missing_is_counted(name: str) -> None:
 
 
 def test_a_given_rate_chooses_between_trials_and_batches() -> None:
-    """Trials at an even beat are refused with both rates; each one reads the log."""
+    """Trials at regular intervals are refused with both rates; each rate reads the log."""
     case = throttled(100.0, 200, 1000, 40_000)
     with pytest.raises(ChoiceError, match=r"100 Hz with 80% of the samples missing, or 20 Hz in batches"):
         clock_of(case)
@@ -172,8 +171,8 @@ def test_a_given_rate_chooses_between_trials_and_batches() -> None:
         (throttled(1000.0, 100, 400, 40_000), "250 Hz, which is used, or 1000 Hz with 0.75 of", 1000.0),
     ],
 )
-def test_two_readings_are_named(case: Awkward, taken: str, other: float) -> None:
-    """Where both fit exactly, the finding names both, and the other rate reads the log."""
+def test_both_rates_of_ambiguous_stamps_are_reported(case: Awkward, taken: str, other: float) -> None:
+    """If both fit exactly, the finding contains both rates, and the other rate reads the log too."""
     (note,) = (finding for finding in clock_of(case).findings if finding.code == "two-readings")
     assert note.level == "warning"
     assert taken in note.text
@@ -195,7 +194,10 @@ def test_two_readings_are_named(case: Awkward, taken: str, other: float) -> None
 def test_one_part_of_a_log_with_two_rates_is_read(
     case: Awkward, before: float, after: float, edge: int, pauses: int
 ) -> None:
-    """The longer one without a given rate, and else the one with that rate; pauses change nothing."""
+    """Without a given rate it is the longer part, otherwise the part with that rate.
+
+    Pauses do not change the choice.
+    """
     n = case.stamps.size
     stops = np.searchsorted(np.linspace(0, n, pauses + 2)[1:-1], np.arange(n)) * 100 * SECOND
     case = replace(case, stamps=case.stamps + stops)
@@ -214,7 +216,7 @@ def test_one_part_of_a_log_with_two_rates_is_read(
 
 
 def test_the_rate_of_one_sensor_does_not_change() -> None:
-    """Losses that begin, gaps, batches and coarse clocks are no change of the rate."""
+    """Losses that start late, gaps, batches and coarse clocks are not changes of the rate."""
     rng = np.random.default_rng(12)
     case = even(100.0, n=8000)
     for share in (0.1, 0.4, 0.6):
@@ -224,8 +226,8 @@ def test_the_rate_of_one_sensor_does_not_change() -> None:
         assert rate_change(clock.stamps) is None, name
 
 
-def test_a_rate_that_changes_twice() -> None:
-    """The longest part is read, and each change is a finding."""
+def test_the_longest_part_of_three_rates_is_read() -> None:
+    """Each change is reported."""
     steps = np.repeat([SECOND // 100, SECOND // 50, SECOND // 200], [2000, 5000, 2000])
     reading = clock_from_stamps(START + np.cumsum(steps), source="stamps")
     assert [f.code for f in reading.findings if f.level == "warning"] == ["rate-changes"] * 2
@@ -236,8 +238,10 @@ def test_a_rate_that_changes_twice() -> None:
 @pytest.mark.parametrize("jitter", [0.001, 0.05])
 @pytest.mark.parametrize(("keep", "of"), [(2, 3), (7, 8), (32, 33), (12, 16), (100, 110)])
 @pytest.mark.parametrize("rate", [208.0, 500.0, 1000.0])
-def test_duty_cycles_with_jitter_in_ms(rate: float, keep: int, of: int, jitter: float) -> None:
-    """The rate is that of the sensor; where a clock with coarse ticks fits as well, a finding names both."""
+def test_a_duty_cycle_with_jitter_keeps_the_rate_of_the_sensor(
+    rate: float, keep: int, of: int, jitter: float
+) -> None:
+    """If a clock with coarse ticks fits equally well, a finding reports both rates."""
     case = even(rate, MS, n=40_000, jitter=jitter)
     reading = clock_from_stamps(case.stamps[case.samples % of < keep], source="stamps")
     text = " ".join(finding.text for finding in reading.findings if finding.code == "two-readings")
@@ -247,8 +251,8 @@ def test_duty_cycles_with_jitter_in_ms(rate: float, keep: int, of: int, jitter: 
         assert not text
 
 
-def test_buffers_and_stalls_are_no_duty_cycle() -> None:
-    """A gap moves the phase of a buffer; a late sample catches up."""
+def test_buffers_and_stalls_are_not_duty_cycles() -> None:
+    """A gap shifts the phase of a buffer; after a stall the stamps catch up."""
     case = fifo(208.0, 2, 100.0, MS, n=2500, anchor="last")
     keep = (case.samples < 833) | (case.samples >= 1833)
     assert clock_from_stamps(case.stamps[keep], source="stamps").clock.rate_hz == pytest.approx(208, rel=1e-3)
@@ -259,27 +263,27 @@ def test_buffers_and_stalls_are_no_duty_cycle() -> None:
     assert reading.clock.missing == 0
 
 
-def test_gaps_between_random_batches() -> None:
-    """Lost batches are gaps, and the rate is that of the samples within each run."""
+def test_lost_random_batches_are_gaps() -> None:
+    """The rate is that of the samples within each run."""
     case = fifo(200.0, 20, 100.0, 1, seed=5, n=8000)
     keep = (case.samples < 3000) | (case.samples > 4500)
     reading = clock_of(replace(case, stamps=case.stamps[keep], samples=case.samples[keep]))
     assert reading.clock.rate_hz == pytest.approx(200, rel=1e-4)
-    # Where in a batch the gap begins and ends is not known.
+    # The position of the gap within a batch is unknown.
     assert len(reading.clock.gaps) <= 2
     assert reading.clock.missing == pytest.approx(1501, abs=31)
 
 
 def test_batches_are_distinguished_from_jitter() -> None:
-    """A reader that comes at random is in bursts; stamps that jitter are not."""
+    """A reader with random timing causes bursts; jitter of the stamps does not."""
     assert "bursts" in {finding.code for finding in clock_of(scheduled(200.0)).findings}
     for jitter in (0.2, 0.3, 0.5):
         assert "bursts" not in {f.code for f in clock_of(even(200.0, jitter=jitter)).findings}
 
 
 @pytest.mark.parametrize("tick", [SECOND, 10 * MS])
-def test_coarse_stamps_and_coarse_samples_lose_nothing(tick: int, tmp_path: Path) -> None:
-    """Equal values under equal stamps are the sensor's resolution, here 1.8 standard deviations."""
+def test_equal_values_under_equal_stamps_are_kept(tick: int, tmp_path: Path) -> None:
+    """The samples are coarse: the sensor's resolution is 1.8 standard deviations."""
     case = even(104.0, tick, n=5000)
     text = [f"{stamp / SECOND:.2f}" for stamp in case.stamps.tolist()]
     path = tmp_path / "log.csv"
@@ -292,7 +296,7 @@ def test_coarse_stamps_and_coarse_samples_lose_nothing(tick: int, tmp_path: Path
 
 
 def test_jitter_above_a_period_is_reported_with_its_effect() -> None:
-    """To the rate, and through it to N."""
+    """The finding describes the effect on the rate, and through it on N."""
     (note,) = (f for f in clock_of(even(200.0, jitter=1.5)).findings if f.code == "uneven-stamps")
     assert note.level == "warning"
     assert note.text.startswith(
@@ -307,8 +311,8 @@ def test_jitter_above_a_period_is_reported_with_its_effect() -> None:
 @pytest.mark.parametrize("jitter", [0.125, 0.15, 0.2])
 @pytest.mark.parametrize("share", [0.01, 0.05, 0.2, 0.4])
 @pytest.mark.parametrize("rate", first_by_default([416.0, 100.0], 1))
-def test_losses_hide_in_no_jitter(rate: float, share: float, jitter: float) -> None:
-    """Steps of one and of two periods overlap; the phases of the stamps tell the period all the same."""
+def test_losses_are_found_in_spite_of_jitter(rate: float, share: float, jitter: float) -> None:
+    """Steps of one and of two periods overlap, but the phases of the stamps give the period."""
     case = lossy(rate, share, jitter=jitter, n=4000, seed=8123)
     reading = clock_of(case)
     clock = reading.clock
@@ -320,8 +324,8 @@ def test_losses_hide_in_no_jitter(rate: float, share: float, jitter: float) -> N
     assert clock.n >= 0.99 * case.stamps.size
 
 
-def test_steps_shorter_than_the_mean_are_no_interpolation() -> None:
-    """Pairs and threes of a buffer that nearly keeps the sensor's time."""
+def test_short_steps_within_batches_are_not_interpolated_samples() -> None:
+    """Batches have two to four samples, and their interval is close to the sensor's period."""
     for size in (2, 3, 4):
         found = {finding.code for finding in clock_of(fifo(833.0, size, 1000.0, US)).findings}
         assert "uneven-stamps" not in found
@@ -356,10 +360,10 @@ def _ulog(path: Path, stamps: IntArray, values: FloatArray) -> Path:
 
 @pytest.mark.parametrize("write", [_csv, _mcap, _bag, _ulog])
 @pytest.mark.parametrize(("size", "own_us", "seed"), [(25, 1000.0, 0), (64, 10.0, 3), (3, 100.0, 4)])
-def test_batches_in_every_kind_of_log(
+def test_batches_give_the_true_rate_and_n_in_every_format(
     write: Callable[[Path, IntArray, FloatArray], Path], size: int, own_us: float, seed: int, tmp_path: Path
 ) -> None:
-    """25 samples 1 ms apart every 250 ms were 1000 Hz with 90 % missing: the rate and N are the truth's."""
+    """25 samples with steps of 1 ms, read every 250 ms, must not be 1000 Hz with 90 % missing."""
     case = fifo(100.0, size, own_us, US, seed=seed, n=1500)
     values = values_of(case)
     recording = read(write(tmp_path / "log", case.stamps, values))
@@ -367,14 +371,14 @@ def test_batches_in_every_kind_of_log(
     assert series.rate_hz == pytest.approx(100, rel=1e-3)
     assert (series.n, series.clock.missing) == (1500, 0)
     assert "bursts" in {finding.code for finding in recording.findings}
-    # White samples: N is their deviation over the root of the rate.
+    # For white samples, N is the standard deviation divided by the root of the rate.
     n = float(np.std(series.samples)) / np.sqrt(series.rate_hz)
     npt.assert_allclose(n, np.std(values[2]) / np.sqrt(100.0), rtol=0.01)
 
 
 @pytest.mark.parametrize("share", [0.75, 0.85, 0.95])
-def test_losses_that_leave_no_step_of_one_sample_are_warned_of(share: float) -> None:
-    """Of 1000 Hz in whole ms hardly two samples in a row are there: no reading explains the stamps."""
+def test_losses_without_steps_of_one_sample_cause_a_warning(share: float) -> None:
+    """At 1000 Hz in whole ms, consecutive samples are rare, so no rate explains the stamps."""
     rng = np.random.default_rng(round(1000 * share))
     kept = np.sort(rng.choice(40_000, round(40_000 * (1 - share)), replace=False))
     found = clock_from_stamps(kept.astype(np.int64) * MS, source="stamps")

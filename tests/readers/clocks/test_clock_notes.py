@@ -1,4 +1,4 @@
-"""What is said of stamps: from which sizes on, and in which words and numbers."""
+"""Findings about stamps: their thresholds, texts and numbers."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from imucal.recording import gap_findings
 
 NONE = np.zeros(0, dtype=np.int64)
 TAU = 5_000_000
-#: A log of 100 s at 200 Hz.
+#: Stamps of a log of 100 s at 200 Hz.
 STAMPS = np.arange(20_001, dtype=np.int64) * TAU
 
 
@@ -38,8 +38,8 @@ def noted(
         (2 * TAU, 3, True),
     ],
 )
-def test_coarse_stamps(resolution: int, same: int, coarse: bool) -> None:  # noqa: FBT001 - of the case
-    """Steps of more than a fiftieth of the period, unless each is a period."""
+def test_steps_above_two_percent_of_the_period_are_coarse(resolution: int, same: int, coarse: bool) -> None:  # noqa: FBT001 - of the case
+    """Steps that all equal the period are not coarse."""
     assert ("coarse-stamps" in [code for _, code, _ in noted(resolution=resolution, same=same)]) == coarse
 
 
@@ -85,19 +85,21 @@ _COARSE = (
         ),
     ],
 )
-def test_what_stamps_show(given: dict[str, int], level: str, code: str, text: str) -> None:
-    """Each oddity alone, and what becomes of the samples."""
+def test_each_fault_of_the_stamps_is_reported(
+    given: dict[str, int], level: str, code: str, text: str
+) -> None:
+    """The text explains the effect on the samples."""
     assert noted(**given) == [(level, code, text)]
 
 
 @pytest.mark.parametrize("given", [{}, {"same": 3, "resolution": TAU // 50}])
 def test_negligible_deviations_are_not_reported(given: dict[str, int]) -> None:
-    """Even stamps, and a few equal ones of a clock that is coarse but fine enough."""
+    """Cases: even stamps, and a few equal stamps of a clock that is fine enough."""
     assert noted(**given) == []
 
 
-def test_settings_of_the_clock() -> None:
-    """How many, the largest with its sign, and its sample."""
+def test_settings_of_the_clock_are_reported() -> None:
+    """The finding contains their number, the largest one with its sign, and its sample."""
     stamps = np.array([0, 1, 3, 2, 1], dtype=np.int64) * 10**9
     assert jump_notes(stamps, {}) == []
     (note,) = jump_notes(stamps, {3: 1})
@@ -125,8 +127,9 @@ def test_settings_of_the_clock() -> None:
         ),
     ],
 )
-def test_gaps(offsets: tuple[int, ...], level: str, text: str) -> None:
-    """Up to one sample of a thousand is not worth a warning."""
+def test_gaps_above_a_thousandth_of_the_samples_are_a_warning(
+    offsets: tuple[int, ...], level: str, text: str
+) -> None:
     stops = (500, 600, 1000) if len(offsets) > 2 else (500, 999)
     starts = (0, *stops[:-1])
     clock = Clock(
@@ -148,13 +151,13 @@ def test_gaps(offsets: tuple[int, ...], level: str, text: str) -> None:
     ("stamps", "log"),
     [(STAMPS[:1], STAMPS[:1] + 5), (STAMPS[:0], STAMPS[:0]), (STAMPS, STAMPS), (STAMPS, 0 * STAMPS)],
 )
-def test_clocks_that_can_not_be_compared(stamps: IntArray, log: IntArray) -> None:
-    """One sample, one clock, or no log time."""
+def test_clocks_without_a_second_clock_are_not_compared(stamps: IntArray, log: IntArray) -> None:
+    """Cases: one sample, a single clock, and no log time."""
     assert compare_clocks(stamps, log) == []
 
 
-def test_the_delay_of_messages() -> None:
-    """The median and the largest; beyond a day it is no delay."""
+def test_the_median_and_largest_delay_of_messages_are_reported() -> None:
+    """A difference of more than a day is not a delay."""
     two = STAMPS[:2]
     (note,) = compare_clocks(two, two + np.array([1_000_000, 3_000_000]))
     assert (note.level, note.code) == ("info", "delay")
@@ -173,16 +176,18 @@ def test_the_delay_of_messages() -> None:
         (20_001, 4.9e-4, None),
         (20_001, -6e-4, "-0.06%"),
         (20_001, 6e-4, "+0.06%"),
-        # Of exactly a minute, and one sample more.
+        # The log has exactly one minute, and one sample more.
         (12_001, 6e-4, None),
         (12_002, 6e-4, "+0.06%"),
-        # The shorter of the two counts.
+        # The shorter of the two durations counts.
         (12_002, -6e-4, None),
         (12_102, -6e-4, "-0.06%"),
     ],
 )
-def test_clocks_that_differ(n: int, drift: float, ratio: str | None) -> None:
-    """More than half a second in a thousand, over more than a minute."""
+def test_clocks_that_differ_by_more_than_half_a_per_mille_are_reported(
+    n: int, drift: float, ratio: str | None
+) -> None:
+    """The log must be longer than a minute."""
     log = STAMPS[:n]
     own = np.round(log * (1 + drift)).astype(np.int64)
     found = compare_clocks(own, log + 10**6)

@@ -1,4 +1,4 @@
-"""Definitions to fields, and vectors whose numbers lie apart."""
+"""Fields of message definitions, and vectors with numbers that are not adjacent."""
 
 from pathlib import Path
 
@@ -34,8 +34,8 @@ def fields_of(text: str, *, ros1: bool = False) -> list[Field]:
         ("time[] a", Field("a", "other")),
     ],
 )
-def test_what_a_field_is(text: str, expected: Field) -> None:
-    """A number, a fixed array, a string, a sequence, or what can't be laid out."""
+def test_a_field_has_a_kind_and_a_code(text: str, expected: Field) -> None:
+    """Kinds: number, fixed array, string, sequence, and fields of unknown size."""
     assert fields_of(text + "\n") == [expected]
 
 
@@ -49,8 +49,8 @@ def test_what_a_field_is(text: str, expected: Field) -> None:
         ("float64 x\nstring[] y", Field("points", "other")),
     ],
 )
-def test_a_sequence_of_structures_has_numbers_of_one_size_only(members: str, expected: Field) -> None:
-    """What follows another one is left out."""
+def test_a_sequence_of_structures_needs_numbers_of_equal_size(members: str, expected: Field) -> None:
+    """After other sequences the offsets are unknown, so later fields are omitted."""
     follows = [Field("x", "number", "f8")] if expected.kind == "sequence" else []
     assert fields_of(_POINTS + members) == [expected, *follows]
 
@@ -65,13 +65,13 @@ def test_a_sequence_of_structures_has_numbers_of_one_size_only(members: str, exp
     ],
 )
 def test_an_empty_structure_takes_a_byte_in_ros2(ros1: bool, members: str, paths: list[str]) -> None:  # noqa: FBT001
-    """In ROS 1 it takes none."""
+    """In ROS 1 it takes no byte."""
     found = fields_of(f"E e\nfloat64 x\n===\nMSG: pkg/E\n{members}\n", ros1=ros1)
     assert [field.path for field in found] == paths
 
 
-def test_a_type_is_looked_for_in_its_own_package_first() -> None:
-    """A name with a package means that package."""
+def test_a_type_is_searched_in_its_own_package_first() -> None:
+    """A name with a package is searched only in that package."""
     text = "E e\n===\nMSG: std_msgs/E\nfloat32 s\n===\nMSG: pkg/E\nfloat64 p\n"
     assert fields_of(text) == [Field("e.p", "number", "f8")]
     with pytest.raises(DefinitionError, match="type pkg/E is not defined"):
@@ -82,8 +82,10 @@ def test_a_type_is_looked_for_in_its_own_package_first() -> None:
 
 @pytest.mark.parametrize("frames", [("imu",), ("a", "longer")])
 @pytest.mark.parametrize("code", ["float64", "float32"])
-def test_reads_vectors_whose_numbers_lie_apart(code: str, frames: tuple[str, ...], tmp_path: Path) -> None:
-    """Gyroscope and accelerometer take turns, axis by axis; z of the gyroscope has a type of its own."""
+def test_vectors_with_interleaved_numbers_are_read(
+    code: str, frames: tuple[str, ...], tmp_path: Path
+) -> None:
+    """The axes of both sensors alternate, and z of the gyroscope has another type."""
     names = [f"{kind}_{axis}" for axis in "xyz" for kind in ("gyro", "accel")]
     codes = [code if name != "gyro_z" else "float64" for name in names]
     text = "std_msgs/Header header\n" + "\n".join(map(" ".join, zip(codes, names, strict=True)))
@@ -104,8 +106,8 @@ def test_reads_vectors_whose_numbers_lie_apart(code: str, frames: tuple[str, ...
 
 
 @pytest.mark.parametrize("ros1", [False, True])
-def test_every_number_has_its_code(ros1: bool) -> None:  # noqa: FBT001
-    """A byte has a sign in ROS 1; the seconds of a time have none there."""
+def test_every_number_type_has_a_code(ros1: bool) -> None:  # noqa: FBT001
+    """A byte is signed in ROS 1, and seconds of a time are unsigned."""
     codes = {f"{s}int{8 * n}": f"{s or 'i'}{n}" for s in ("", "u") for n in (1, 2, 4, 8)}
     codes |= {"bool": "u1", "char": "u1", "byte": "i1" if ros1 else "u1"}
     codes |= {"float32": "f4", "float64": "f8"}
@@ -121,13 +123,16 @@ def test_every_number_has_its_code(ros1: bool) -> None:  # noqa: FBT001
     ["uint8 kSmall=3\nint8 x\n", "string S=a=b # c\nint8 x", "int8 x\n\n=====\n", "int8 x\r\n# y=1\r\n",
      "int8 x 5\nstring<=3 T='x'\n"],
 )  # fmt: skip
-def test_what_rosbags_alone_would_refuse(text: str) -> None:
-    """Constants in small letters, a separator at the end, lines of Windows."""
+def test_definitions_that_rosbags_refuses_are_read(text: str) -> None:
+    """Cases: lower-case constants, a separator at the end, and Windows line ends."""
     assert fields_of(text) == [Field("x", "number", "i1")]
 
 
-def test_structures_lie_one_behind_the_other() -> None:
-    """An array of them has each; what is bounded or open has one field that counts all their numbers."""
+def test_structures_are_adjacent() -> None:
+    """An array has fields for each of its structures.
+
+    A bounded or open sequence has one field that counts all numbers.
+    """
     point = "\n===\nMSG: pkg/P\nfloat64 x\nfloat64[2] y"
     paths = [f"p[{i}].{name}" for i in range(2) for name in "xy"]
     assert [field.path for field in fields_of(f"P[2] p{point}")] == paths
@@ -137,8 +142,8 @@ def test_structures_lie_one_behind_the_other() -> None:
     assert fields_of(f"P[0] p\nint8 z{point}") == [Field("z", "number", "i1")]
 
 
-def test_comments_and_constants_are_no_fields() -> None:
-    """What is none of these is an error that shows its line."""
+def test_comments_and_constants_are_not_fields() -> None:
+    """An invalid line is an error that shows the line."""
     assert fields_of("# a\n\nint8 A=1\nint8 B = 2 # c\nint8 x # d\nint8 y 5\n") == [
         Field("x", "number", "i1"),
         Field("y", "number", "i1"),
@@ -148,8 +153,8 @@ def test_comments_and_constants_are_no_fields() -> None:
 
 
 @pytest.mark.parametrize("ros1", [False, True])
-def test_the_standard_type_is_laid_out_as_rosbags_does(ros1: bool) -> None:  # noqa: FBT001
-    """Its own definition of the same name gives the same fields, those that others hold too."""
+def test_built_in_types_have_the_layout_of_rosbags(ros1: bool) -> None:  # noqa: FBT001
+    """A definition by rosbags gives the same fields as the built-in type, also for nested types."""
     types = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.LATEST)
     for name in ("sensor_msgs/msg/Imu", "geometry_msgs/msg/TwistWithCovarianceStamped",
                  "geometry_msgs/msg/AccelStamped", "geometry_msgs/msg/Vector3", "geometry_msgs/msg/Twist",
@@ -162,7 +167,7 @@ def test_the_standard_type_is_laid_out_as_rosbags_does(ros1: bool) -> None:  # n
 
 
 def test_too_many_fields_are_refused() -> None:
-    """Twenty thousand are enough, also of those of structures in structures."""
+    """The limit is 20 000 fields, including those of nested structures."""
     text = "P[{}] p\n===\nMSG: pkg/P\n" + "\n".join(f"int8 a{i}" for i in range(100))
     assert len(fields_of(text.format(200))) == 20_000
     with pytest.raises(DefinitionError, match=r"^pkg/M nests too deeply or has too many fields$"):

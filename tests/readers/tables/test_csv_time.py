@@ -1,4 +1,4 @@
-"""Time in a table: units, joins, counters, wraps; and what is asked where it is open."""
+"""Time columns of a table: units, joined columns, counters, wraps, and errors for ambiguous times."""
 
 from pathlib import Path
 
@@ -48,14 +48,14 @@ def recorded(folder: Path, header: str, *columns: object, preamble: str = "", **
         (0, 5, None),
     ],
 )
-def test_unit_of_time(step: float, start: float, unit: str | None) -> None:
-    """The unit that gives an IMU's rate; the size of a time since 1970 settles doubts, else none is taken."""
+def test_the_unit_of_a_time_gives_the_rate_of_an_imu(step: float, start: float, unit: str | None) -> None:
+    """If several units fit, the size of a time since 1970 decides; otherwise no unit is chosen."""
     values = np.array([start + i * step for i in range(1000)])
     assert infer_time_unit(values)[0] == unit
 
 
-def test_open_unit_is_asked_for(tmp_path: Path) -> None:
-    """A step of 100 is 10 Hz in ms and 10 kHz in us."""
+def test_an_ambiguous_unit_is_refused(tmp_path: Path) -> None:
+    """A step of 100 can be 10 Hz in ms or 10 kHz in us."""
     path = written(tmp_path, "time", [100 * i for i in range(N)])
     with pytest.raises(ChoiceError) as caught:
         read(path, ReadOptions())
@@ -70,8 +70,8 @@ def test_open_unit_is_asked_for(tmp_path: Path) -> None:
     )
 
 
-def test_counter_needs_a_rate(tmp_path: Path) -> None:
-    """A counter is no time; with a rate it shows what is missing."""
+def test_a_counter_needs_a_rate(tmp_path: Path) -> None:
+    """A counter contains no time, but together with a rate it shows missing samples."""
     counts = [*range(200), *range(205, N + 5)]
     path = written(tmp_path, "sample", counts)
     with pytest.raises(ChoiceError) as caught:
@@ -96,15 +96,15 @@ def test_counter_needs_a_rate(tmp_path: Path) -> None:
         '"Fs (Hz)";100\n',
     ],
 )
-def test_rate_of_the_preamble(preamble: str, tmp_path: Path) -> None:
-    """A rate in the lines before the header is used, and named as the source."""
+def test_the_rate_in_the_preamble_is_used(preamble: str, tmp_path: Path) -> None:
+    """The decision reports the log as its source."""
     recording = recorded(tmp_path, "sample", list(range(N)), preamble=preamble)
     assert recording.series[0].rate_hz == 100.0
     assert dict(recording.source.decisions)["time"] == "100 Hz, the rate in the log"
 
 
-def test_stamps_go_before_the_rate_of_the_preamble(tmp_path: Path) -> None:
-    """Where they contradict each other the stamps win, with a warning."""
+def test_stamps_override_the_rate_in_the_preamble(tmp_path: Path) -> None:
+    """A warning reports the contradiction."""
     recording = recorded(tmp_path, "time (s)", [f"{i * 0.01:.3f}" for i in range(N)], preamble="Fs,128\n")
     assert recording.series[0].rate_hz == pytest.approx(100)
     (finding,) = recording.findings
@@ -113,24 +113,23 @@ def test_stamps_go_before_the_rate_of_the_preamble(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("bits", [8, 16, 32])
-def test_wrapping_counters(bits: int) -> None:
-    """A counter that starts again at the end of its range goes on."""
+def test_wrapped_counters_are_unwrapped(bits: int) -> None:
     true = np.arange(1000, dtype=np.int64) * 3 + (1 << bits) - 300
     counts, wraps = unwrapped(true % (1 << bits), Room())
     npt.assert_array_equal(np.diff(counts), np.diff(true))
     assert wraps == (int(true[-1]) >> bits) - (int(true[0]) >> bits)
 
 
-def test_a_restart_is_no_wrap() -> None:
-    """A logger that starts again from the middle of its range is left as it is."""
+def test_a_restart_is_not_a_wrap() -> None:
+    """The logger starts again from the middle of the counter's range."""
     counts = np.concatenate([np.arange(1000), np.arange(1000)]) + 20_000
     result, wraps = unwrapped(counts, Room())
     npt.assert_array_equal(result, counts)
     assert wraps == 0
 
 
-def test_wrapped_time_column(tmp_path: Path) -> None:
-    """Microseconds of 32 bits, 71 minutes after the start."""
+def test_a_wrapped_time_column_is_unwrapped(tmp_path: Path) -> None:
+    """Microseconds of 32 bits wrap after 71 minutes."""
     micros = [(2**32 - 1_000_000 + i * 10_000) % 2**32 for i in range(N)]
     recording = recorded(tmp_path, "time_us", micros)
     assert recording.series[0].clock.missing == 0
@@ -155,13 +154,13 @@ def test_wrapped_time_column(tmp_path: Path) -> None:
         ("yesterday", np.iinfo(np.int64).min),
     ],
 )
-def test_texts(cell: str, ns: int) -> None:
-    """Dates and times of day, to the nanosecond; what is no time is none."""
+def test_dates_and_times_of_day_are_parsed_to_the_nanosecond(cell: str, ns: int) -> None:
+    """Other texts are invalid."""
     assert parse_texts([cell]).tolist() == [ns]
 
 
-def test_floats_lose_nothing_but_their_own_resolution() -> None:
-    """Seconds as doubles become the nearest ns; integers stay exact beyond 2**53."""
+def test_times_are_converted_to_ns_exactly() -> None:
+    """Seconds as doubles become the nearest ns; integers stay exact above 2**53."""
     values = np.array([0.1, 1.25, 1_700_000_000.5, -0.25])
     assert to_ns(values, 10**9, Room()).tolist() == [
         100_000_000,
@@ -172,7 +171,7 @@ def test_floats_lose_nothing_but_their_own_resolution() -> None:
     assert to_ns(np.array([2**62 - 1, 5], dtype=np.int64), 1, Room()).tolist() == [2**62 - 1, 5]
 
 
-#: Times of 100 Hz from 1 s before the end of a minute on, in ms.
+#: Times at 100 Hz in ms; the first is 1 s before the end of a minute.
 TIMES = [59_000 + 10 * i for i in range(N)]
 WHOLE, MILLI = [EPOCH // 10**9 + t // 1000 for t in TIMES], [t % 1000 for t in TIMES]
 CLOCK = [f"12:{t // 60_000:02d}:{t // 1000 % 60:02d}" for t in TIMES]
@@ -186,19 +185,19 @@ CLOCK = [f"12:{t // 60_000:02d}:{t // 1000 % 60:02d}" for t in TIMES]
         ("time_s,time_us", WHOLE, [1000 * t for t in MILLI]),
         ("Date,ms", [f"2024-02-29 {text}" for text in CLOCK], MILLI),
         ("Timestamp,msec", CLOCK, MILLI),
-        # The finer column goes on beyond a second: it is the whole time.
+        # The finer column continues beyond a second, so it is the complete time.
         ("time_s,time_ms", [t // 1000 for t in TIMES], [t - 59_000 for t in TIMES]),
     ],
 )
 @pytest.mark.parametrize("named", [False, True])
-def test_a_finer_column_next_to_a_coarse_one(
+def test_a_finer_column_is_joined_to_a_coarse_one(
     header: str,
     coarse: list[object],
     fine: list[object],
     named: bool,  # noqa: FBT001 - of the case
     tmp_path: Path,
 ) -> None:
-    """It is joined, by its name or as a user says it: whole seconds alone would be 100 samples at once."""
+    """The name or a columns text identifies it. Whole seconds alone would give 100 equal stamps."""
     said = {"columns": "t=0+1,g=2:5"} if named else {}
     clock = recorded(tmp_path, header, coarse, fine, **said).series[0].clock
     assert clock.source in {f"column {header.replace(',', '+')}", "column time_ms"}
@@ -216,8 +215,8 @@ def test_a_finer_column_next_to_a_coarse_one(
         (WHOLE, [f"{t / 1000:.3f}" for t in MILLI]),
     ],
 )
-def test_columns_without_names_are_joined(coarse: list[int], fine: list[object], tmp_path: Path) -> None:
-    """The largest value below a second determines its unit."""
+def test_unnamed_time_columns_are_joined(coarse: list[int], fine: list[object], tmp_path: Path) -> None:
+    """The largest value below a second determines the unit of the fraction."""
     options = {"columns": "t=0+1,g=2:5", "gyro_unit": "rad/s"}
     path = tmp_path / "log.csv"
     path.write_text(lines("0,0,0,0,0", coarse, fine, *xyz(truth().gyro)).partition("\n")[2])
@@ -232,21 +231,23 @@ def test_columns_without_names_are_joined(coarse: list[int], fine: list[object],
         ("gps_sow", [f"{345_600 + i * 0.005:.3f}" for i in range(N)], 200),
         ("sow", [f"{345_600 + i * 0.005:.3f}" for i in range(N)], 200),
         ("GPST", [f"{345_600 + i * 0.005:.3f}" for i in range(N)], 200),
-        # 0.1 ms: the counts would be 20 kHz in us, or 20 Hz in ms.
+        # A step is 0.1 ms; in us the counts would give 20 kHz, in ms 20 Hz.
         ("SampleTimeFine", [50 * i for i in range(N)], 200),
         ("tow", [f"{345_600 + i * 0.005:.3f}" for i in range(N)], 200),
         ("gps_tow_ms", [345_600_000 + 5 * i for i in range(N)], 200),
     ],
 )
-def test_times_by_name(header: str, times: list[object], rate: float, tmp_path: Path) -> None:
-    """Times of the week and ticks of Xsens."""
+def test_known_names_determine_the_unit(
+    header: str, times: list[object], rate: float, tmp_path: Path
+) -> None:
+    """Cases: times of the week, and ticks of Xsens."""
     clock = recorded(tmp_path, header, times).series[0].clock
     assert clock.rate_hz == pytest.approx(rate, rel=1e-6)
     assert clock.missing == 0
 
 
-def test_a_buffer_whose_time_has_no_unit(tmp_path: Path) -> None:
-    """The unit is that of the rate, not that of the steps within a batch."""
+def test_the_unit_of_a_buffered_time_gives_the_mean_rate(tmp_path: Path) -> None:
+    """Steps within a batch do not determine the unit."""
     times = [250 * (i // 25) + i % 25 for i in range(N)]
     (series, *_) = recorded(tmp_path, "t", times, time_unit="ms").series
     assert series.rate_hz == pytest.approx(100)
@@ -256,14 +257,14 @@ def test_a_buffer_whose_time_has_no_unit(tmp_path: Path) -> None:
     assert dict(recording.source.decisions)["time unit"].startswith("us for t, inferred")
 
 
-def test_sensor_at_time_zero(tmp_path: Path) -> None:
-    """A device's clock may start at zero: that is a stamp like any other."""
+def test_a_time_of_zero_is_a_valid_stamp(tmp_path: Path) -> None:
+    """A device's clock may start at zero."""
     clock = recorded(tmp_path, "time_ms", [10 * i for i in range(N)]).series[0].clock
     assert (clock.start_ns, clock.n, clock.missing) == (0, N, 0)
 
 
-def test_choice_of_the_clock(tmp_path: Path) -> None:
-    """Header stamps by default, the time of recording on request, any column by its name."""
+def test_the_clock_can_be_chosen(tmp_path: Path) -> None:
+    """Header stamps are the default; the recording time or any column can be requested."""
     path = tmp_path / "log.csv"
     path.write_text(rostopic(truth()), encoding="utf-8")
     assert read(path, ReadOptions()).series[0].clock.source == "column field.header.stamp"
@@ -272,8 +273,8 @@ def test_choice_of_the_clock(tmp_path: Path) -> None:
     assert read(path, ReadOptions(time="%time")).series[0].clock.start_ns == EPOCH + 1_234_567
 
 
-def test_zero_header_stamps_give_way_to_the_log_time(tmp_path: Path) -> None:
-    """A driver that does not stamp is found out, and said."""
+def test_zero_header_stamps_are_replaced_by_log_time(tmp_path: Path) -> None:
+    """The driver sets no stamps; a finding reports that."""
     rows = rostopic(truth()).split("\n")
     zeroed = [
         ",".join([*row.split(",")[:2], "0", *row.split(",")[3:]]) if row[:1] == "1" else row for row in rows
@@ -286,8 +287,8 @@ def test_zero_header_stamps_give_way_to_the_log_time(tmp_path: Path) -> None:
     assert [finding.code for finding in recording.findings] == ["log-time-used"]
 
 
-def test_samples_sent_twice_are_dropped(tmp_path: Path) -> None:
-    """Some rows repeat stamp and values of the row before: once is enough."""
+def test_repeated_rows_are_dropped(tmp_path: Path) -> None:
+    """Some rows repeat the stamp and the values of their predecessor."""
     path = written(tmp_path, "time_ms", [10 * i for i in range(N)])
     rows = path.read_text(encoding="utf-8").split("\n")
     for place in (300, 200, 100):
@@ -298,8 +299,8 @@ def test_samples_sent_twice_are_dropped(tmp_path: Path) -> None:
     npt.assert_array_equal(recording.series[0].samples, truth().gyro[:, 0])
 
 
-def test_held_samples_stay_with_a_warning(tmp_path: Path) -> None:
-    """A log written faster than the sensor is read holds every value twice; that is the log's truth."""
+def test_held_samples_are_kept_with_a_warning(tmp_path: Path) -> None:
+    """The log is written faster than the sensor samples, so it contains every value twice."""
     path = written(tmp_path, "time_ms", [10 * i for i in range(N)])
     rows = path.read_text(encoding="utf-8").rstrip("\n").split("\n")
     path.write_text("\n".join([rows[0], *(row for row in rows[1:] for _ in range(2)), ""]), encoding="utf-8")

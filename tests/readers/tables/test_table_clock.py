@@ -1,4 +1,4 @@
-"""The clock of a table's samples: samples sent twice, stated rates, units and counters, at their edges."""
+"""Clocks of tables: thresholds for repeated samples, declared rates, units and counters."""
 
 import re
 
@@ -30,15 +30,15 @@ def work(rate_hz: float | None = None, given: float | None = None) -> RecordingB
 
 
 def columns(time: TimeChoice | None, values: Numbers, still: int = 0) -> SensorColumns:
-    """Return samples that go on by one, the last `still` of them the same."""
+    """Return increasing samples; the last `still` of them are constant."""
     n = values.size
     axis = np.minimum(np.arange(n, dtype=np.float64), n - 1 - still)
     return SensorColumns(plan=SensorPlan(triad=GYRO, time=time), axes=[axis] * 3, time=[values])
 
 
 @pytest.mark.parametrize(("still", "marked", "found"), [(0, 0, 0), (1, 1, 0), (2, 2, 0), (3, 0, 1)])
-def test_samples_sent_twice(still: int, marked: int, found: int) -> None:
-    """Up to a tenth of the rows is marked; beyond it the sensor is slower than its log, and it is said."""
+def test_up_to_a_tenth_of_repeated_rows_is_marked(still: int, marked: int, found: int) -> None:
+    """Above that share the sensor is slower than its log, and a finding reports held samples."""
     stamps = np.minimum(np.arange(20), 19 - still).astype(np.int64)
     at = work()
     same = _sent_twice(at, stamps, columns(MS, stamps, still))
@@ -46,8 +46,7 @@ def test_samples_sent_twice(still: int, marked: int, found: int) -> None:
     assert [finding.code for finding in at.findings] == ["held-samples"] * found
 
 
-def test_equal_stamps_of_other_values_are_not_sent_twice() -> None:
-    """Both the stamp and the values must repeat."""
+def test_rows_with_equal_stamps_and_different_values_are_not_repeated() -> None:
     stamps = np.array([0, 1, 2, 2], dtype=np.int64)
     at = work()
     assert _sent_twice(at, stamps, columns(MS, stamps)) is None
@@ -64,8 +63,12 @@ def test_equal_stamps_of_other_values_are_not_sent_twice() -> None:
         (None, None, False),
     ],
 )
-def test_the_stated_rate(stated: float | None, given: float | None, differs: bool) -> None:  # noqa: FBT001
-    """Two percent off is said, once, unless a rate was given."""
+def test_a_wrong_declared_rate_is_reported_once(
+    stated: float | None,
+    given: float | None,
+    differs: bool,  # noqa: FBT001
+) -> None:
+    """It must differ by 2 %. No finding is needed if the user gave a rate."""
     at = work(stated, given)
     _compare_rates(at, 103.0)
     _compare_rates(at, 103.0)
@@ -79,7 +82,7 @@ def test_the_stated_rate(stated: float | None, given: float | None, differs: boo
 
 @pytest.mark.parametrize("first", [0, 5])
 def test_a_clock_starts_where_its_stamps_do(first: int) -> None:
-    """A stamp of zero at the start is one like any other."""
+    """A first stamp of zero is valid."""
     at = work()
     reading = table_clock(at, columns(MS, np.arange(first, first + 500, 5, dtype=np.int64)))
     assert reading.clock.start_ns == first * 1_000_000
@@ -88,15 +91,15 @@ def test_a_clock_starts_where_its_stamps_do(first: int) -> None:
 
 
 def test_a_unit_without_a_name_is_shown_in_ns() -> None:
-    """A count of 12 500 000 ns is no unit with a name."""
+    """12 500 000 ns have no named unit."""
     at = work()
     ticks = TimeChoice(kind="stamp", indices=(0,), name="t", ns=12_500_000, ns_source="by hand")
     table_clock(at, columns(ticks, np.arange(1, 101, dtype=np.int64)))
     assert at.decisions[0] == ("time unit", "12500000 ns for t, by hand")
 
 
-def test_a_column_by_one_a_row_counts_at_the_given_rate() -> None:
-    """Only where a rate is given; else its unit is asked for."""
+def test_a_column_that_increases_by_one_counts_samples_at_the_given_rate() -> None:
+    """Without a given rate, its unit is required."""
     plain = TimeChoice(kind="stamp", indices=(0,), name=" t ")
     counts = np.arange(1, 101, dtype=np.int64)
     at = work(given=250.0)
@@ -112,8 +115,8 @@ def test_a_column_by_one_a_row_counts_at_the_given_rate() -> None:
 
 
 @pytest.mark.parametrize(("every", "used"), [(10, True), (9, False)])
-def test_a_counter_of_samples(every: int, used: bool) -> None:  # noqa: FBT001 - of the case
-    """Nine steps of ten must be one; else the rate alone is used, and it is said."""
+def test_nine_of_ten_steps_of_a_counter_must_be_one(every: int, used: bool) -> None:  # noqa: FBT001 - of the case
+    """Otherwise only the rate is used, and a finding reports that."""
     steps = np.ones(90, dtype=np.int64)
     steps[::every] = 2
     at = work(given=100.0)
@@ -124,8 +127,7 @@ def test_a_counter_of_samples(every: int, used: bool) -> None:  # noqa: FBT001 -
 
 
 @pytest.mark.parametrize(("time", "what"), [(None, "no time column"), (COUNTER, "only a counter (seq)")])
-def test_neither_time_nor_rate(time: TimeChoice | None, what: str) -> None:
-    """The error says what there is."""
+def test_a_table_without_time_and_rate_is_refused(time: TimeChoice | None, what: str) -> None:
     text = (
         f"log.csv: {what} and no sampling rate for the gyroscope; expected time stamps or a rate; "
         "give the sampling rate"
@@ -134,8 +136,7 @@ def test_neither_time_nor_rate(time: TimeChoice | None, what: str) -> None:
         table_clock(work(), columns(time, np.arange(10, dtype=np.int64)))
 
 
-def test_the_rate_that_the_log_states() -> None:
-    """It serves where there is no time."""
+def test_the_declared_rate_replaces_a_missing_time() -> None:
     at = work(50.0)
     reading = table_clock(at, columns(None, np.arange(10, dtype=np.int64)))
     assert (reading.clock.rate_hz, reading.clock.source) == (50.0, "rate in the log")
@@ -149,8 +150,8 @@ def test_the_rate_that_the_log_states() -> None:
         ([3, 5, 10, 15, 20, 25], 3, "column t"),
     ],
 )
-def test_a_clock_from_zero_on_is_a_clock(stamps: list[int], start: int, source: str) -> None:
-    """Its first sample is kept: zero is no missing stamp there."""
+def test_a_clock_that_starts_at_zero_is_valid(stamps: list[int], start: int, source: str) -> None:
+    """The first sample is kept, because zero is not a missing stamp here."""
     reading = table_clock(work(), columns(MS, np.array(stamps, dtype=np.int64)))
     assert reading.clock.start_ns == start * 1_000_000
     assert reading.clock.source == source

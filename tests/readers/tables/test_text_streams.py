@@ -1,4 +1,4 @@
-"""The first bytes of a text say how it is packed and encoded, its size about how many lines there are."""
+"""The start of a text gives its compression and encoding, and its size the approximate number of lines."""
 
 import bz2
 import gzip
@@ -20,7 +20,7 @@ from imucal.readers.tables.text_source import (
 
 
 def utf16(zeros: int, at: int) -> bytes:
-    """Return a hundred bytes, of which every second one from a place on is zero until there are enough."""
+    """Return a hundred bytes with `zeros` zeros at every second place from `at` on."""
     head = bytearray(b"a" * 100)
     head[at : at + 2 * zeros : 2] = bytes(zeros)
     return bytes(head)
@@ -34,34 +34,34 @@ def utf16(zeros: int, at: int) -> bytes:
         (b"\xef\xbb\xbfgx", "utf-8"),
         (b"\xff\xfeg\0", "utf-16-le"),
         (b"\xfe\xff\0g", "utf-16-be"),
-        # More than three bytes of ten are zero, and stand at one kind of place.
+        # More than three of ten bytes are zero, all at odd or all at even places.
         (utf16(31, 1), "utf-16-le"),
         (utf16(31, 0), "utf-16-be"),
         (utf16(30, 1), None),
         (utf16(30, 0), None),
-        # Ten of one kind beside one of the other are not enough, eleven are.
+        # A ratio of ten is not enough, eleven is.
         (utf16(40, 1)[:-2] + b"\0a", "utf-16-le"),
         (b"\0\0" * 4 + utf16(40, 1)[8:], None),
         (b"\0a" * 4 + b"a\0" * 40, None),
         (b"\0a" * 4 + b"a\0" * 41, "utf-16-le"),
         (b"a\0" * 4 + b"\0a" * 40, None),
         (b"a\0" * 4 + b"\0a" * 41, "utf-16-be"),
-        # One control character of a hundred bytes may be damage.
+        # One control character in a hundred bytes may be damage.
         (b"\x01" + b"a" * 99, "utf-8"),
         (b"\x01\x02" + b"a" * 98, None),
         (b"\t\r\n\x1b" * 25, "utf-8"),
-        # So may zeros behind a line, or one of a hundred bytes.
+        # Zeros after a line, or one zero in a hundred bytes, may be damage too.
         (b"\0" + b"a" * 99, "utf-8"),
         (b"\0\0" + b"a" * 98, None),
         (b"a\n" + b"\0" * 2 + b"a" * 96, "utf-8"),
         (b"a" * 96 + b"\0" * 2 + b"a\n", None),
-        # A character that the head cuts is whole in the log.
+        # The head ends within a character, which is complete in the log.
         ("m/s²".encode()[:-1], "utf-8"),
         ("m/s² ".encode("latin-1"), "latin-1"),
     ],
 )
-def test_encodings(head: bytes, encoding: str | None) -> None:
-    """A mark, zeros at every second place, or bytes that are no UTF-8; what is no text is refused."""
+def test_the_first_bytes_determine_the_encoding(head: bytes, encoding: str | None) -> None:
+    """Evidence: a byte order mark, zeros at every second place, or invalid UTF-8. Binary data are refused."""
     if encoding is None:
         with pytest.raises(ReadError, match=r"^log: binary data, not text; expected a table of numbers"):
             find_encoding(head, "log")
@@ -81,21 +81,20 @@ def test_encodings(head: bytes, encoding: str | None) -> None:
         (b"", "none"),
     ],
 )
-def test_compressions(start: bytes, kind: str) -> None:
-    """By the first bytes alone."""
+def test_the_first_bytes_determine_the_compression(start: bytes, kind: str) -> None:
     assert compression_of(start) == kind
 
 
 class Drops(io.BytesIO):
-    """A stream that gives two bytes at most at a time, as a pipe may."""
+    """A stream that returns at most two bytes at a time, like a slow pipe."""
 
     def read(self, size: int | None = -1) -> bytes:
         return super().read(2 if size is None or size < 0 else min(size, 2))
 
 
 @pytest.mark.parametrize("pack", [bytes, gzip.compress, bz2.compress, lzma.compress])
-def test_a_slow_pipe_is_read_whole(pack: Callable[[bytes], bytes]) -> None:
-    """What was looked at to tell the compression is read again, however few bytes come at a time."""
+def test_a_slow_pipe_is_read_completely(pack: Callable[[bytes], bytes]) -> None:
+    """The bytes that identify the compression are read again."""
     text = b"1,2\n" * 50
     assert read_fully(Drops(text), 3) == text[:3]
     assert read_fully(Drops(b"abc"), 9) == b"abc"
@@ -111,7 +110,7 @@ def opened(data: bytes, size: int | None) -> TextSource:
 @pytest.mark.parametrize(
     ("data", "size", "rows"),
     [
-        # Four bytes a line, and five in a hundred more.
+        # Lines have four bytes; five percent are added.
         (b"1,2\n" * 5, 400, 105),
         (b"1,2\n12345\n" * 5, 1000, 210),
         (b"1,2\n" * 5, None, 0),
@@ -120,8 +119,10 @@ def opened(data: bytes, size: int | None) -> TextSource:
         (b"", 400, 0),
     ],
 )
-def test_how_many_lines_to_expect(data: bytes, size: int | None, rows: int) -> None:
-    """The size of a plain file over the length of its first lines; nothing where either is unknown."""
+def test_the_expected_number_of_lines_is_the_size_divided_by_their_length(
+    data: bytes, size: int | None, rows: int
+) -> None:
+    """It is unknown if the size or the length of a line is unknown."""
     assert opened(data, size).expected_rows == rows
 
 
@@ -138,8 +139,8 @@ def test_how_many_lines_to_expect(data: bytes, size: int | None, rows: int) -> N
         (b"\xef\xbb\xbfa\n", ["a"]),
     ],
 )
-def test_first_lines(data: bytes, head: list[str]) -> None:
-    """Without their ends; of more than three lines the last may be cut."""
+def test_the_head_has_the_first_lines_without_line_ends(data: bytes, head: list[str]) -> None:
+    """If there are more than three lines, the last one may be cut and is omitted."""
     source = opened(data, None)
     assert (source.head, source.whole) == (head, True)
 
@@ -147,8 +148,8 @@ def test_first_lines(data: bytes, head: list[str]) -> None:
 @pytest.mark.parametrize(
     "data", [b"a\nb\nc\nd", b"\xef\xbb\xbfa\nb\nc\nd", b"a\r\nb\r\nc\r\nd", b"a\rb\rc\rd"]
 )
-def test_blocks_are_the_whole_text(data: bytes, tmp_path: Path) -> None:
-    """A mark is taken off and line ends are line feeds, in a file and in a stream."""
+def test_blocks_contain_the_complete_text(data: bytes, tmp_path: Path) -> None:
+    """The byte order mark is removed and line ends become line feeds, in files and streams."""
     path = tmp_path / "log.csv"
     path.write_bytes(data)
     with open_text(path) as source:

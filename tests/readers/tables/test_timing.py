@@ -1,4 +1,4 @@
-"""Which column is the time: what each word of a name is worth, and which columns belong together."""
+"""The choice of the time column: the score of names and cells, and columns that belong together."""
 
 from collections.abc import Mapping
 
@@ -12,12 +12,12 @@ from imucal.readers.tables.stamps import TimeChoice, _score, choose_times, named
 from imucal.recording import Sensor
 
 GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
-#: Three stamps that go on, and no more digits than a counter has.
+#: Three increasing stamps, with no more digits than a counter has.
 ON = ("1", "2", "3")
 
 
 def table(columns: Mapping[str, tuple[str, ...]], dialect: Dialect | None = None) -> NamedTable:
-    """Return a table of columns by name, with their first cells."""
+    """Return a table with the given columns and their first cells."""
     entries = enumerate(columns.items())
     named = tuple(parse_column(name, index, cells=cells) for index, (name, cells) in entries)
     return NamedTable(path="log.csv", columns=named, dialect=dialect)
@@ -71,12 +71,15 @@ def offered(
         ("baro_time", 30),
         ("image_time", 30),
         ("cam_time", 30),
-        # Another sensor's, and by a clock of its own.
+        # Times of another sensor, or of a separate clock.
         ("gps_time", 20),
     ],
 )
-def test_what_a_name_is_worth(name: str, score: float) -> None:
-    """Stamps before times, the sensor's own clock before the computer's, no other sensor's at all."""
+def test_the_name_of_a_time_column_gives_its_score(name: str, score: float) -> None:
+    """Stamps are better than times, and the sensor's clock is better than the computer's.
+
+    Times of other sensors are excluded.
+    """
     assert _score(parse_column(name, 0, cells=ON), GYRO) == score
 
 
@@ -98,13 +101,16 @@ def test_what_a_name_is_worth(name: str, score: float) -> None:
         (("1" * 16 + ".5", "2" * 16 + ".5"), 65),
     ],
 )
-def test_what_cells_are_worth(cells: tuple[str, ...], score: float) -> None:
-    """Nanoseconds since 1970 are better than numbers, numbers than dates; what stands still is the last."""
+def test_the_cells_of_a_time_column_change_its_score(cells: tuple[str, ...], score: float) -> None:
+    """Nanoseconds since 1970 are better than other numbers, and numbers better than dates.
+
+    Constant cells have the lowest score.
+    """
     assert _score(parse_column("time", 0, cells=cells), GYRO) == score
 
 
 def test_a_constant_time_of_another_sensor_is_not_preferred() -> None:
-    """A low score stays where it is, and one below zero is no choice."""
+    """Constant cells do not raise a low score, and columns with a negative score are not offered."""
     assert _score(parse_column("gps_log_time", 0, cells=ON), GYRO) == -20
     assert _score(parse_column("gps_log_time", 0, cells=("7", "7")), GYRO) == -20
     assert offered({"gps_log_time": ON}) == []
@@ -114,8 +120,8 @@ def test_a_constant_time_of_another_sensor_is_not_preferred() -> None:
     assert [name for _, name, _ in offered({"accel_time": ON}, ACCEL)] == ["accel_time"]
 
 
-def test_the_best_comes_first_and_counters_last() -> None:
-    """Every time of a table, in the order of preference; equal ones in the order of the table."""
+def test_times_are_sorted_by_preference_with_counters_last() -> None:
+    """Equal scores keep the order of the table."""
     columns = {"count": ON, "epoch": ON, "time": ("4", "4", "4"), "t": ON, "ts": ON, "timestamp": ON}
     assert [name for _, name, _ in offered(columns)] == ["timestamp", "t", "ts", "epoch", "time", "count"]
 
@@ -126,17 +132,17 @@ def test_the_best_comes_first_and_counters_last() -> None:
         ({"secs": ON, "nsecs": ON}, "pair", "secs+nsecs"),
         ({"nsecs": ON, "secs": ON}, "pair", "secs+nsecs"),
         ({"time [s]": ON, "time [ns]": ON}, "pair", "time [s]+time [ns]"),
-        # One below a second is the most that nanoseconds can count.
+        # The largest value below a second in ns.
         ({"secs": ON, "nsecs": ("1", "999999999")}, "pair", "secs+nsecs"),
         ({"secs": ON, "nsecs": ("1", "1000000000")}, "stamp", "secs"),
-        # Only whole numbers count; empty cells don't matter.
+        # Only integers count; empty cells are ignored.
         ({"secs": ON, "nsecs": ("1", "", "3")}, "pair", "secs+nsecs"),
         ({"secs": ("1.5", "2.5"), "nsecs": ON}, "stamp", "secs"),
         ({"secs": ("", ""), "nsecs": ON}, "stamp", "nsecs"),
-        # Names that differ in more do not belong together.
+        # The names differ too much to belong together.
         ({"stamp_secs": ON, "log_nsecs": ON}, "stamp", "stamp_secs"),
         ({"header_secs": ON, "header_nsecs": ON, "secs": ON}, "pair", "header_secs+header_nsecs"),
-        # Before the best of stamps, unless the fraction stands still.
+        # A pair precedes the best stamp, unless its fraction is constant.
         ({"timestamp [ms]": ON, "secs": ON, "nsecs": ON}, "pair", "secs+nsecs"),
         ({"sensor_gyro_time": ON, "secs": ON, "nsecs": ON}, "stamp", "sensor_gyro_time"),
         ({"uptime": ON, "secs": ON, "nsecs": ("5", "5")}, "stamp", "uptime"),
@@ -151,8 +157,9 @@ def test_the_best_comes_first_and_counters_last() -> None:
         ({"tow": ON}, "stamp", "tow"),
     ],
 )
-def test_columns_that_are_one_time(columns: Mapping[str, tuple[str, ...]], kind: str, name: str) -> None:
-    """Seconds with nanoseconds, where both are there."""
+def test_seconds_and_nanoseconds_form_one_time(
+    columns: Mapping[str, tuple[str, ...]], kind: str, name: str
+) -> None:
     assert offered(columns)[0][:2] == (kind, name)
 
 
@@ -172,8 +179,8 @@ DATE = ("year", "month", "day", "hour", "minute", "second")
         ({"second": ON}, ["second"]),
     ],
 )
-def test_columns_of_a_date(columns: Mapping[str, tuple[str, ...]], names: list[str]) -> None:
-    """Seconds next to minutes restart every minute, so they are no time."""
+def test_columns_of_a_date_are_joined(columns: Mapping[str, tuple[str, ...]], names: list[str]) -> None:
+    """Seconds next to minutes restart every minute, so they are not a time of their own."""
     assert [name for _, name, _ in offered(columns)] == names
 
 
@@ -189,8 +196,7 @@ def test_columns_of_a_date(columns: Mapping[str, tuple[str, ...]], names: list[s
         (("1", "2", "x"), False),
     ],
 )
-def test_a_counter_goes_on(cells: tuple[str, ...], there: bool) -> None:  # noqa: FBT001 - of the case
-    """More than half of its cells are larger than the one before."""
+def test_a_counter_increases_in_most_rows(cells: tuple[str, ...], there: bool) -> None:  # noqa: FBT001 - of the case
     assert offered({"count": cells}) == ([("counter", "count", None)] if there else [])
 
 
@@ -207,14 +213,14 @@ def test_a_counter_goes_on(cells: tuple[str, ...], there: bool) -> None:  # noqa
         ("t", None),
     ],
 )
-def test_units_of_times(name: str, ns: int | None) -> None:
-    """In brackets, as a word, or in front of `time`."""
+def test_the_unit_of_a_time_is_read_from_its_name(name: str, ns: int | None) -> None:
+    """The unit is in brackets, a separate word, or in front of `time`."""
     choice = choose_times(table({name: ON}), GYRO)[0]
     assert (choice.ns, choice.ns_source) == (ns, "from the column header" if ns else "")
 
 
-def test_a_dialect_has_units() -> None:
-    """It goes before what the name says, for the columns that it names."""
+def test_a_dialect_sets_the_units_of_its_columns() -> None:
+    """It overrides the units in the names of these columns."""
     known = Dialect(name="Ours", headers=(), time_ns=(("stamp", 100), ("time (us)", 7)))
     columns = {'"#stamp"': ON, "time (us)": ON, "time (ms)": ON}
     found = [time_of_columns(table(columns, known), [index]) for index in range(3)]
@@ -237,7 +243,7 @@ def test_a_dialect_has_units() -> None:
     ],
 )
 def test_half_of_the_cells_decide_the_kind_of_a_column(cells: tuple[str, ...], kind: str | None) -> None:
-    """Numbers first, then dates and times of day; the empty cells left out."""
+    """Numbers are tried first, then dates and times of day; empty cells are ignored."""
     named = table({"foo": cells})
     if kind is None:
         with pytest.raises(ChoiceError, match=r"^log\.csv: column 0 \(foo\) is not a time: it contains "):
@@ -246,8 +252,8 @@ def test_half_of_the_cells_decide_the_kind_of_a_column(cells: tuple[str, ...], k
         assert time_of_columns(named, [0]).kind == kind
 
 
-def test_times_that_a_user_names() -> None:
-    """One column, or two of seconds and what is beside them; more are none."""
+def test_a_user_can_name_one_or_two_time_columns() -> None:
+    """Two columns are seconds and their fraction; three columns are refused."""
     named = table({"a": ON, "b": ON, "count": ON, "": ON, "empty": ("", "")})
     pair = TimeChoice(kind="pair", indices=(0, 1), name="a+b", ns_source="seconds + a fraction")
     assert named_time(named, "a+b") == pair

@@ -1,4 +1,4 @@
-"""Text logs in the layouts of the wild, written from one truth."""
+"""Text logs in many real layouts, all written from the same samples."""
 
 import json
 import zipfile
@@ -13,10 +13,10 @@ from imucal.units import G0
 
 __all__ = ["RATE", "STYLES", "N", "Style", "Truth", "lines", "truth", "write"]
 
-#: Samples and rate of the truth.
+#: Number and rate of the samples.
 N, RATE = 400, 100.0
 
-#: A start in ns since 1970.
+#: Start in ns since 1970.
 EPOCH = 1_700_000_000_000_000_000
 
 
@@ -38,7 +38,7 @@ class Truth:
 
 
 def truth(seed: int = 5) -> Truth:
-    """Return the truth: noise of a cheap sensor, gravity on z."""
+    """Return noise of a cheap sensor, with gravity on z."""
     rng = np.random.default_rng(seed)
     gyro = rng.normal(scale=2e-3, size=(N, 3)) + np.array([0.01, -0.02, 0.005])
     accel = rng.normal(scale=2e-2, size=(N, 3)) + np.array([0.1, -0.2, G0])
@@ -46,24 +46,24 @@ def truth(seed: int = 5) -> Truth:
 
 
 def cells(values: FloatArray) -> list[str]:
-    """Return numbers as text that gives back the same numbers."""
+    """Return numbers as text with all digits."""
     return [repr(float(value)) for value in values]
 
 
 def lines(header: str, *columns: Sequence[object], mark: str = ",") -> str:
-    """Return a header and rows of columns; no header where it is empty."""
+    """Return the columns as rows, below the header unless it is empty."""
     rows = [mark.join(str(column[i]) for column in columns) for i in range(len(columns[0]))]
     return "\n".join([header, *rows] if header else rows) + "\n"
 
 
 def xyz(values: FloatArray) -> list[list[str]]:
-    """Return the three columns of a triad."""
+    """Return the three columns of a sensor."""
     return [cells(values[:, i]) for i in range(3)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Style:
-    """One layout: how to write it, what a reader must say of it, what the user has to add."""
+    """A layout: how to write it, what the reader must report, and the options that the user must add."""
 
     name: str
     build: Callable[[Truth], str | bytes]
@@ -220,7 +220,7 @@ def ros_acceleration(t: Truth) -> str:
 
 
 def plotjuggler(t: Truth) -> str:
-    """Every other row belongs to another topic: the cells of the sensor are empty."""
+    """Write rows of two topics in turn; the sensor's cells are empty in every other row."""
     header = ",".join(
         [
             *("__time", "/odom/twist/linear/x"),
@@ -366,7 +366,7 @@ def phyphox_zip(t: Truth) -> bytes:
 
 
 def sensor_logger(t: Truth, values: FloatArray) -> str:
-    """z, y, x: the order of the app."""
+    """Write the axes in the order of the app: z, y, x."""
     return lines("time,seconds_elapsed,z,y,x", stamps(t, 1, EPOCH), seconds(t), *xyz(values)[::-1])
 
 
@@ -392,7 +392,7 @@ def _zip(members: dict[str, str]) -> bytes:
 
 
 def sensorlog(t: Truth) -> str:
-    """Write the clocks that the iPhone's sensors have of their own: one runs 3 ms behind."""
+    """Write the separate clocks of the iPhone's sensors; one is 3 ms late."""
     header = (
         "loggingTime(txt),loggingSample(N),accelerometerTimestamp_sinceReboot(s),"
         "accelerometerAccelerationX(G),accelerometerAccelerationY(G),accelerometerAccelerationZ(G),"
@@ -563,7 +563,7 @@ def kitti(t: Truth) -> str:
 
 
 def json_lines(t: Truth) -> str:
-    """Write a structure for each sensor, numbers with all their digits, and a text with what ends a cell."""
+    """Write a structure for each sensor, numbers with all digits, and a text with delimiters."""
     rows = (
         {
             "time_ns": EPOCH + ns,
@@ -578,7 +578,7 @@ def json_lines(t: Truth) -> str:
 
 
 def json_vectors(t: Truth) -> str:
-    """Write a list for each sensor, in objects of their own with a time each."""
+    """Write a list for each sensor, in separate objects with a time each."""
     rows = []
     for ns, w, f in zip(t.ns, t.gyro.tolist(), t.accel.tolist(), strict=True):
         rows += [{"timestamp": EPOCH + ns, "gyro_rad_s": w}, {"timestamp": EPOCH + ns, "accel_m_s2": f}]
@@ -586,7 +586,7 @@ def json_vectors(t: Truth) -> str:
 
 
 def json_tagged(t: Truth) -> str:
-    """Write as a phone's logger: each sensor's objects have the same members, whose numbers are texts."""
+    """Write like a phone's logger: objects of all sensors have the same members, with numbers as texts."""
     rows = []
     for ns, w, f in zip(t.ns, t.gyro.tolist(), t.accel.tolist(), strict=True):
         for sensor, values in (("gyroscope", w), ("accelerometer", f)):
@@ -632,7 +632,7 @@ def repoimu(t: Truth) -> str:
 
 
 def repoimu_semicolons(t: Truth) -> str:
-    """Write the quaternion and the magnetometer too, units in the second row, and a semicolon at each end."""
+    """Write quaternion, magnetometer, a second row with units, and a semicolon at the end of each line."""
     ones = [["0.5"] * N] * 4
     groups = "Time;Vicon quat;;;;IMU acc;;;IMU gyr;;;IMU mag;;"
     axes = "[s];W;X;Y;Z;X [m/s^2];Y [m/s^2];Z [m/s^2];X [rad/s];Y [rad/s];Z [rad/s];X;Y;Z"
@@ -641,7 +641,7 @@ def repoimu_semicolons(t: Truth) -> str:
 
 
 def matrix(t: Truth) -> str:
-    """Write rows that end as those of a matrix in MATLAB."""
+    """Write rows that end like rows of a matrix in MATLAB."""
     return lines("", seconds(t), *xyz(t.gyro), *xyz(t.accel), mark=" ").replace("\n", ";\n")
 
 
@@ -651,14 +651,14 @@ def commas_and_semicolon(t: Truth) -> str:
 
 
 def quoted_commas(t: Truth) -> str:
-    """Write numbers as a spreadsheet of a country with decimal commas does."""
+    """Write numbers like a spreadsheet in a country with decimal commas."""
     columns = [seconds(t), *xyz(t.gyro), *xyz(t.accel)]
     quoted = [['"' + str(cell).replace(".", ",") + '"' for cell in column] for column in columns]
     return lines("time (s),gx (rad/s),gy (rad/s),gz (rad/s),ax (m/s^2),ay (m/s^2),az (m/s^2)", *quoted)
 
 
 def two_bytes(t: Truth) -> bytes:
-    """Write UTF-16 without the mark that says so."""
+    """Write UTF-16 without a byte order mark."""
     return quoted_commas(t).encode("utf-16-le")
 
 
