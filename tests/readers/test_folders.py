@@ -56,15 +56,15 @@ METADATA = """rosbag2_bagfile_information:
 
 
 def split(folder: Path) -> Path:
-    """Write a bag of two files, whose names sort against their order."""
+    """Write a bag of two files; the order of their names is not that of their times."""
     folder.mkdir()
     write_mcap(folder / "bag_10.mcap", imu_messages(part(0, 200)))
     write_mcap(folder / "bag_2.mcap", imu_messages(part(200, 400)))
     return folder
 
 
-def test_reads_files_in_the_order_of_the_metadata(tmp_path: Path) -> None:
-    """One recording without a gap."""
+def test_files_are_read_in_the_order_of_the_metadata(tmp_path: Path) -> None:
+    """The recording has no gap."""
     folder = split(tmp_path / "bag")
     (folder / "metadata.yaml").write_text(METADATA, encoding="utf-8")
     recording = read(folder)
@@ -77,8 +77,8 @@ def test_reads_files_in_the_order_of_the_metadata(tmp_path: Path) -> None:
     assert contents.size_bytes == sum(file.stat().st_size for file in folder.glob("*.mcap"))
 
 
-def test_reads_a_folder_without_metadata(tmp_path: Path) -> None:
-    """In the order of their times, where each goes on where the one before ends."""
+def test_a_folder_without_metadata_is_read_in_the_order_of_time(tmp_path: Path) -> None:
+    """Each file must continue its predecessor."""
     recording = read(split(tmp_path / "bag"))
     assert np.array_equal(rows(recording), TRUTH.all)
     (finding,) = [finding for finding in recording.findings if finding.code == "joined"]
@@ -86,8 +86,8 @@ def test_reads_a_folder_without_metadata(tmp_path: Path) -> None:
     assert finding.text == "2 logs are joined as one recording: bag_10.mcap, bag_2.mcap."
 
 
-def test_says_which_file_is_missing(tmp_path: Path) -> None:
-    """What is there is read."""
+def test_a_missing_file_of_a_bag_is_reported(tmp_path: Path) -> None:
+    """The other files are read."""
     folder = split(tmp_path / "bag")
     (folder / "metadata.yaml").write_text(METADATA, encoding="utf-8")
     (folder / "bag_2.mcap").unlink()
@@ -96,8 +96,8 @@ def test_says_which_file_is_missing(tmp_path: Path) -> None:
     assert recording.findings[0].text == ("1 files of the bag are missing: bag_2.mcap; their time is a gap.")
 
 
-def test_refuses_a_folder_that_is_no_bag(tmp_path: Path) -> None:
-    """And says what is in it."""
+def test_a_folder_without_logs_is_refused(tmp_path: Path) -> None:
+    """The error lists its content."""
     folder = tmp_path / "data"
     folder.mkdir()
     (folder / "notes.md").write_text("nothing", encoding="utf-8")
@@ -118,8 +118,8 @@ def test_refuses_a_folder_that_is_no_bag(tmp_path: Path) -> None:
         ("manifest.parquet", "is a fleet of imucal; give a log, or run 'imucal fleet report'"),
     ],
 )
-def test_knows_the_folders_that_imucal_writes(file: str, said: str, tmp_path: Path) -> None:
-    """Whoever gives one in place of a log is told so, and what takes it."""
+def test_a_folder_written_by_imucal_is_recognised(file: str, said: str, tmp_path: Path) -> None:
+    """The error explains which command reads such a folder."""
     (tmp_path / file).write_text('{"schema": "imucal/report/2"}', encoding="utf-8")
     with pytest.raises(ReadError, match=f"{tmp_path}: {said}"):
         read(tmp_path)
@@ -128,15 +128,15 @@ def test_knows_the_folders_that_imucal_writes(file: str, said: str, tmp_path: Pa
             read(tmp_path / file)
 
 
-def test_parses_the_metadata() -> None:
-    """Files, compression, messages of each topic, whatever the order of keys and quotes."""
+def test_metadata_are_parsed() -> None:
+    """They contain files, compression and message counts, in any order and with any quotes."""
     names, mode, counts = parse_metadata(METADATA.format(format="zstd", mode="MESSAGE"))
     assert names == ("bag_10.mcap", "bag_2.mcap")
     assert mode == "MESSAGE"
     assert counts == {"/imu/data": 400, "/other": 7}
 
 
-def test_numbers_sort_as_numbers() -> None:
+def test_numbers_in_file_names_are_sorted_as_numbers() -> None:
     """bag_10 comes after bag_2."""
     names = ["bag_10.mcap", "bag_2.mcap", "bag_0.mcap", "a.mcap"]
     assert sorted(names, key=lambda name: natural(Path(name))) == [
@@ -144,8 +144,8 @@ def test_numbers_sort_as_numbers() -> None:
     ]  # fmt: skip
 
 
-def test_joins_files_of_one_recording_with_a_gap(tmp_path: Path) -> None:
-    """A bag and an MCAP file: formats may differ, what is missing between them is a gap."""
+def test_files_of_different_formats_are_joined_with_a_gap(tmp_path: Path) -> None:
+    """The first file is an MCAP file, the second a bag; missing samples between them are a gap."""
     first = write_mcap(tmp_path / "a_1.mcap", imu_messages(part(0, 150)))
     last = write_db3(tmp_path / "a_2", imu_messages(part(160, 400)))
     recording = read(last, first)
@@ -156,8 +156,7 @@ def test_joins_files_of_one_recording_with_a_gap(tmp_path: Path) -> None:
     assert recording.source.topics == (TOPIC,)
 
 
-def test_joins_tables_file_by_file(tmp_path: Path) -> None:
-    """By the time of their first samples."""
+def test_tables_are_joined_in_the_order_of_their_first_samples(tmp_path: Path) -> None:
     paths = []
     for name, chosen in (("log_2.csv", part(0, 150)), ("log_1.csv", part(160, 400))):
         path = tmp_path / name
@@ -173,8 +172,8 @@ def test_joins_tables_file_by_file(tmp_path: Path) -> None:
     assert recording.series[0].rate_hz == pytest.approx(100)
 
 
-def test_refuses_files_of_different_rates(tmp_path: Path) -> None:
-    """They are not of one recording."""
+def test_files_of_different_rates_are_refused(tmp_path: Path) -> None:
+    """They do not belong to one recording."""
     first = write_mcap(tmp_path / "a_1.mcap", imu_messages(part(0, 150)))
     table = tmp_path / "a_2.csv"
     other = samples(50, rate=50.0)
@@ -189,8 +188,8 @@ def test_refuses_files_of_different_rates(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("mcap", [True, False], ids=["mcap", "db3"])
-def test_reads_a_zstd_file_alone(mcap: bool, tmp_path: Path) -> None:  # noqa: FBT001
-    """`.db3.zstd` and `.mcap.zstd` without their folder; a truncated database is refused."""
+def test_a_single_zstd_file_of_a_bag_is_read(mcap: bool, tmp_path: Path) -> None:  # noqa: FBT001
+    """`.db3.zstd` and `.mcap.zstd` need no folder; a truncated database is refused."""
     truth = samples(6000)
     folder = write_db3(tmp_path / "bag", imu_messages(truth), compression="file", mcap=mcap)
     path = next(folder.glob("*.zstd"))
@@ -208,7 +207,7 @@ def test_reads_a_zstd_file_alone(mcap: bool, tmp_path: Path) -> None:  # noqa: F
     assert "truncated" in [finding.code for finding in recording.findings]
 
 
-def test_a_bag_of_ros1_joins_too(tmp_path: Path) -> None:
+def test_split_ros1_bags_are_joined(tmp_path: Path) -> None:
     """`rosbag record --split` writes `_0.bag`, `_1.bag`."""
     first = write_bag(tmp_path / "log_0.bag", imu_messages(part(0, 200), ros1=True))
     last = write_bag(tmp_path / "log_1.bag", imu_messages(part(200, 400), ros1=True), compression="bz2")

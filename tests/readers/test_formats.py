@@ -1,4 +1,4 @@
-"""The contract of every format: what its module offers, and how files are told apart."""
+"""Requirements for every format: the interface of its module, and detection of files."""
 
 import importlib
 import re
@@ -17,7 +17,7 @@ from imucal.readers.containers import Container
 from imucal.readers.formats import Format, detect, load_opener
 from tests.readers.logs import CONTAINERS, samples
 
-#: Formats of messages, as `imucal.recording.Source` documents them.
+#: Formats of messages, as documented in `imucal.recording.Source`.
 SOURCE_FORMATS = {
     "mcap",
     "rosbag1",
@@ -31,13 +31,13 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
-    """Names of the formats of which `CONTAINERS` writes a log."""
+    """Return the names of the formats of the logs in `CONTAINERS`."""
     folders = [(tmp_path_factory.mktemp("log"), write) for write in CONTAINERS.values()]
     return {detect(write(folder, samples(2))).name for folder, write in folders}
 
 
 def missing(entry: Format, written: set[str]) -> list[str]:
-    """Say in a sentence each what was forgotten when a format was added."""
+    """Return a sentence for each part that a format lacks."""
     said = [*_missing_in_table(entry), *_missing_in_module(entry)]
     rows = re.findall(r"^\| ([^|]+) \|", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
     if not any(re.search(rf"\b{re.escape(entry.name)}\b", row, re.IGNORECASE) for row in rows):
@@ -75,13 +75,12 @@ def _missing_in_module(entry: Format) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("entry", FORMATS, ids=lambda entry: entry.name)
-def test_nothing_was_forgotten_of_a_format(entry: Format, written: set[str]) -> None:
-    """Module, functions, docstrings, first bytes, the table of the README, a log to test it with."""
+def test_a_format_is_complete(entry: Format, written: set[str]) -> None:
+    """It needs a module, functions, docstrings, first bytes, a row in the README, and a test log."""
     assert missing(entry, written) == []
 
 
-def test_reports_missing_parts_of_a_format(written: set[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """A container added in a hurry: every step that is left out is named."""
+def test_missing_parts_of_a_format_are_reported(written: set[str], monkeypatch: pytest.MonkeyPatch) -> None:
     module = ModuleType("imucal_test_gadget")
     monkeypatch.setitem(sys.modules, module.__name__, module)
     entry = Format(name="Gadget bag", supported="all", module=module.__name__, messages=True)
@@ -101,7 +100,7 @@ def test_reports_missing_parts_of_a_format(written: set[str], monkeypatch: pytes
 
 
 def lacks(container: object) -> list[str]:
-    """Say in a sentence each what a container lacks of the protocol `Container`."""
+    """Return a sentence for each member of the protocol `Container` that a container lacks."""
     name = type(container).__name__
     members = [*get_annotations(Container), "tasks", "close"]
     return [f"{name} has no {member}." for member in members if not hasattr(container, member)]
@@ -109,7 +108,6 @@ def lacks(container: object) -> list[str]:
 
 @pytest.mark.parametrize("name", CONTAINERS)
 def test_every_container_has_the_interface_that_readers_use(name: str, tmp_path: Path) -> None:
-    """Path, format, compression, size, channels, findings, times, tasks and close."""
     path = CONTAINERS[name](tmp_path, samples(20))
     opened, form = load_opener(detect(path))(path, None)
     for container in opened:
@@ -118,8 +116,8 @@ def test_every_container_has_the_interface_that_readers_use(name: str, tmp_path:
     assert form in SOURCE_FORMATS
 
 
-def test_reports_missing_parts_of_a_container() -> None:
-    """One with nothing but a path."""
+def test_missing_parts_of_a_container_are_reported() -> None:
+    """The container has only a path."""
     assert lacks(SimpleNamespace(path=Path("log"), tasks=None)) == [
         f"SimpleNamespace has no {member}."
         for member in [
@@ -138,7 +136,7 @@ def test_reports_missing_parts_of_a_container() -> None:
 
 @pytest.mark.parametrize("entry", FORMATS, ids=lambda entry: entry.name)
 def test_every_format_refuses_a_file_with_only_its_signature(entry: Format, tmp_path: Path) -> None:
-    """The first bytes of a format and then noise: a message that starts with the path."""
+    """Random bytes follow the signature; the error starts with the path."""
     for number, magic in enumerate(entry.magic or (b"a,b\n",)):
         path = tmp_path / f"{number}{entry.suffixes[0]}"
         path.write_bytes(magic + bytes(range(256)) * 4)
@@ -153,8 +151,8 @@ def test_every_format_refuses_a_file_with_only_its_signature(entry: Format, tmp_
             assert str(error).startswith(str(path))  # noqa: PT017 - one of two ways to say it
 
 
-def test_first_bytes_go_before_the_ending(tmp_path: Path) -> None:
-    """A bag that is called .txt is a bag."""
+def test_the_first_bytes_override_the_extension(tmp_path: Path) -> None:
+    """A bag with the extension .txt is a bag."""
     path = tmp_path / "log.txt"
     path.write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
     assert detect(path).name == "ROS 1 bag"
@@ -162,8 +160,7 @@ def test_first_bytes_go_before_the_ending(tmp_path: Path) -> None:
     assert detect(path).name == "text"
 
 
-def test_needs_a_log() -> None:
-    """Without a path there is nothing to read."""
+def test_reading_without_a_path_is_an_error() -> None:
     with pytest.raises(ValueError, match="no log: name at least one file"):
         read()
 
@@ -171,7 +168,7 @@ def test_needs_a_log() -> None:
 @pytest.mark.parametrize(
     ("name", "head", "expected"),
     [
-        # Text never ends so: the log has lost its first bytes.
+        # A text never has this extension, so the first bytes of the log are lost.
         ("log.mcap", b"text", "MCAP"),
         ("log.bag", b"text", "ROS 1 bag"),
         ("log.BAG.active", b"text", "ROS 1 bag"),

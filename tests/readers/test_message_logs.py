@@ -1,4 +1,4 @@
-"""What is made of decoded messages: losses in words, order, repeats; and what the index of a topic tells."""
+"""Recordings from decoded messages: findings about losses, order and repeats, and the index of a topic."""
 
 import numpy as np
 import pytest
@@ -10,8 +10,8 @@ from imucal.readers.messages.topics import Topic
 from imucal.readers.store import Room
 
 
-def test_losses_in_words() -> None:
-    """One finding for each kind, in the order met, with the places and the messages of all."""
+def test_losses_of_one_kind_become_one_finding() -> None:
+    """Findings keep the order of their first loss and contain the total number of messages."""
     losses = [
         Loss(code="crc", text="a bad sum", messages=3),
         Loss(code="index", text="a bad index"),
@@ -34,8 +34,10 @@ def test_losses_in_words() -> None:
         ("ab", 7, dict.fromkeys("ab", "about 7 messages are lost in all unreadable parts")),
     ],
 )
-def test_messages_of_unreadable_parts(codes: str, missing: int | None, counts: dict[str, str]) -> None:
-    """Their number is what the file counts and no other part contained."""
+def test_the_number_of_unreadable_messages_is_the_missing_part_of_the_count(
+    codes: str, missing: int | None, counts: dict[str, str]
+) -> None:
+    """Messages of losses with a known number are subtracted."""
     losses = [Loss(code=code, text="bad", messages=3 if code == "c" else None) for code in codes]
     found = {finding.code: finding.text for finding in _loss_findings(losses, missing)}
     assert {code: text.partition("bad; ")[2] for code, text in found.items()} == {
@@ -78,13 +80,13 @@ def topic(*known: tuple[int | None, int | None, int | None]) -> Topic:
         ([(0, None, None)], 0, None, None),
     ],
 )
-def test_what_an_index_tells(
+def test_the_index_gives_count_duration_and_rate_of_a_topic(
     known: list[tuple[int | None, int | None, int | None]],
     count: int | None,
     duration: float | None,
     rate: float | None,
 ) -> None:
-    """Over all files; what one of them does not know is not known, except the time."""
+    """They cover all files. If one file lacks a count, the total is unknown; a missing time is ignored."""
     found = topic(*known)
     assert (found.count, found.duration_s, found.rate_hz) == (count, duration, rate)
 
@@ -94,12 +96,12 @@ def test_what_an_index_tells(
     [
         ([1, 3, 2, 4], [1, 3, 2, 4], [0, 2, 1, 3]),
         ([1, 2, 3, 4], [1, 3, 2, 4], [0, 1, 2, 3]),
-        # As many steps back before and behind: the log time decides.
+        # Sorting changes nothing in the number of steps back, so the log time decides.
         ([2, 1, 4, 3], [1, 3, 2, 4], [0, 2, 1, 3]),
     ],
 )
-def test_the_order_of_the_log_time(stamps: list[int], log: list[int], rows: list[int]) -> None:
-    """Samples are sorted, unless that brings more stamps out of order than there were."""
+def test_samples_are_sorted_by_log_time(stamps: list[int], log: list[int], rows: list[int]) -> None:
+    """They stay as they are if sorting would increase the number of stamps out of order."""
     times = np.array(stamps), np.array(log)
     samples = [np.arange(4.0), np.arange(4.0)]
     (found,) = in_time_order(*times, samples, Room())
@@ -114,14 +116,14 @@ def test_the_order_of_the_log_time(stamps: list[int], log: list[int], rows: list
         assert after.tolist() == [before[row] for row in rows]
 
 
-def test_a_log_in_order_stays() -> None:
-    """Also if its stamps are the log time itself, and two samples have the same."""
+def test_a_log_in_order_is_not_changed() -> None:
+    """The stamps may equal the log time, and two samples may have equal stamps."""
     times = np.array([1, 1, 2, 2])
     assert in_time_order(times, times, [np.arange(4.0)], Room()) == []
 
 
-def test_the_log_time_may_be_the_only_time() -> None:
-    """It is sorted once."""
+def test_samples_without_stamps_are_sorted_once() -> None:
+    """The log time is used as their stamps."""
     times, samples = np.array([1, 3, 2, 4]), np.arange(4.0)
     assert len(in_time_order(times, times, [samples], Room())) == 1
     assert (times.tolist(), samples.tolist()) == ([1, 2, 3, 4], [0, 2, 1, 3])

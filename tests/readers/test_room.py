@@ -1,4 +1,4 @@
-"""Arrays in memory and in temporary files, in blocks of any size, are the same."""
+"""Arrays in memory and in temporary files, processed in blocks of any size, are equal."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -32,8 +32,8 @@ def room(request: pytest.FixtureRequest) -> Room:
     return Room(request.param)
 
 
-def test_what_is_made(room: Room) -> None:
-    """Is what NumPy makes of all at once."""
+def test_arrays_equal_those_of_numpy(room: Room) -> None:
+    """NumPy processes each array at once."""
     npt.assert_array_equal(room.copied(VALUES), VALUES)
     order = RNG.permutation(500)[:300]
     npt.assert_array_equal(room.taken(VALUES, order), VALUES[order])
@@ -48,8 +48,8 @@ def test_what_is_made(room: Room) -> None:
     assert not equal(VALUES, other)
 
 
-def test_a_large_array_is_in_a_file() -> None:
-    """Above a sixteenth of what may be held, and keeps its values when its pages are handed back."""
+def test_a_large_array_is_in_a_temporary_file() -> None:
+    """The limit is a sixteenth of the memory limit; values survive the release of their pages."""
     small, large = Room(16 * 800).empty(100, np.float64), Room(16 * 800).empty(101, np.float64)
     assert small.flags.owndata
     assert not large.flags.owndata
@@ -58,8 +58,8 @@ def test_a_large_array_is_in_a_file() -> None:
     npt.assert_array_equal(large, np.arange(101))
 
 
-def test_pages_are_handed_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Behind the blocks of mapped arrays, and at the end; each map once."""
+def test_pages_of_mapped_arrays_are_released_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are released after each block and at the end."""
     seen: list[int] = []
     monkeypatch.setattr(arrays, "_hand_back", lambda held: seen.extend(map(len, held)))
     held = Room(0).empty(100, np.float64)
@@ -69,8 +69,8 @@ def test_pages_are_handed_back(monkeypatch: pytest.MonkeyPatch) -> None:
     assert list(blocks(0, held)) == []
 
 
-def test_no_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Is said before anything is written, with the folder and what was wanted."""
+def test_a_full_disk_is_reported_before_writing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The error contains the folder and the required size."""
 
     def full(*_: int) -> None:
         raise OSError(28, "No space left on device")
@@ -81,7 +81,7 @@ def test_no_room(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_copies_of_overlapping_parts() -> None:
-    """Towards the front, as when samples close up."""
+    """The copy moves values towards the start, as if samples were removed."""
     for shift in (1, 3, 100):
         values = np.arange(500)
         copy_to(values[: 500 - shift], values[shift:])
@@ -90,15 +90,15 @@ def test_copies_of_overlapping_parts() -> None:
 
 @pytest.mark.parametrize(("changed", "constant"), [([], True), ([0], False), ([499], False)])
 @pytest.mark.parametrize("value", [3.0, np.nan])
-def test_constant_rows(changed: list[int], value: float, *, constant: bool) -> None:
-    """Are found whatever they hold."""
+def test_constant_rows_are_found(changed: list[int], value: float, *, constant: bool) -> None:
+    """The value can be anything, including NaN."""
     rows = np.full((2, 500), value)
     rows[1, changed] = 7.0
     assert is_constant(rows) is constant
 
 
 def wraps(values: IntArray, period: int) -> IntArray:
-    """Return a running count, the definition: a period more at each step back."""
+    """Return an unwrapped counter by its definition: add a period at each step back."""
     turns, result = 0, []
     for before, value in zip([values[0], *values], values, strict=False):
         turns += int(value < before)
@@ -106,8 +106,8 @@ def wraps(values: IntArray, period: int) -> IntArray:
     return np.array(result)
 
 
-def test_counters_and_times_of_day_go_on(room: Room) -> None:
-    """Wherever they start again, also at the very end of a block."""
+def test_counters_and_times_of_day_are_unwrapped(room: Room) -> None:
+    """A wrap can be anywhere, including the end of a block."""
     counts = np.arange(37, 537) % 256
     found, times = unwrapped(counts, room)
     assert times == 2
@@ -128,7 +128,7 @@ def test_counters_and_times_of_day_go_on(room: Room) -> None:
     ],
 )
 def test_stamps_do_not_depend_on_blocks(made: Callable[[Room], Any], room: Room) -> None:
-    """Nor on where they lie: they are those of one block in memory."""
+    """Results in files and in small blocks equal those of one block in memory."""
     mapped_block, arrays.BLOCK = arrays.BLOCK, 1 << 18
     expected = made(Room())
     arrays.BLOCK = mapped_block
@@ -136,7 +136,7 @@ def test_stamps_do_not_depend_on_blocks(made: Callable[[Room], Any], room: Room)
 
 
 def logs() -> Iterator[IntArray]:
-    """Yield times in order, locally out of order, in two runs, backwards, and with equal ones."""
+    """Yield increasing, locally disordered, two-part, decreasing and repeated times."""
     rng = np.random.default_rng(77)
     even = np.arange(300)
     yield even
@@ -150,15 +150,15 @@ def logs() -> Iterator[IntArray]:
 
 
 @pytest.mark.parametrize("times", list(logs()))
-def test_parts_that_are_sorted(times: IntArray) -> None:
-    """Put the whole in the order of a stable sort, and nothing is sorted that need not be."""
+def test_only_disordered_parts_are_sorted(times: IntArray) -> None:
+    """Sorting these parts gives the same order as a stable sort of all values."""
     order = np.arange(times.size)
     end = 0
     for start, stop in unsorted(times):
         assert start >= end
         assert stop - start > 1
         assert np.any(np.diff(times[start:stop]) < 0)
-        # None of its places is a cut.
+        # The part can't be divided into smaller ones.
         highest = np.maximum.accumulate(times)
         lowest = np.minimum.accumulate(times[::-1])[::-1]
         assert all(highest[k - 1] > lowest[k] for k in range(start + 1, stop))

@@ -1,4 +1,4 @@
-"""The index of an MCAP file, byte by byte: what it says, and why it is not believed."""
+"""The index of an MCAP file, byte by byte: its content, and the checks that reject it."""
 
 import struct
 import zlib
@@ -17,7 +17,7 @@ from tests.readers.containers.mcap_bytes import channel, chunk, index, message, 
 Held = Callable[..., LogFile]
 FIRST = message(7, 10, b"ab") + message(8, 25) + message(7, 30, b"cd")
 SECOND = message(7, 40, b"ef") + message(7, 35, b"gh")
-#: The first chunk has indexes of two channels, the second of one.
+#: The first chunk has indexes of two channels, the second one of one channel.
 CHUNKS = (chunk(FIRST), chunk(SECOND))
 INDEXES = (index(7, (10, 0), (30, 64)) + index(8, (25, 33)), index(7, (40, 0), (35, 33)))
 DATA = MAGIC + CHUNKS[0] + INDEXES[0] + CHUNKS[1] + INDEXES[1]
@@ -39,7 +39,7 @@ def chunk_index(
 
 
 def statistics(messages: int = 5, chunks: int = 2, counts: Mapping[int, int] | None = None) -> bytes:
-    """Return the record of counts."""
+    """Return the Statistics record."""
     pairs = b"".join(struct.pack("<HQ", *pair) for pair in (counts or {}).items())
     return record(11, struct.pack("<QHIIIIQQ", messages, 1, 2, 0, 0, chunks, 10, 40) + text(pairs))
 
@@ -49,7 +49,7 @@ SUMMARY = DEFINITIONS + statistics(counts={7: 4, 8: 1}) + chunk_index(0) + chunk
 
 @dataclass(kw_only=True)
 class Parts:
-    """The parts of a file; each may be wrong."""
+    """The parts of a file; each can be wrong."""
 
     data: bytes = DATA
     summary: bytes = SUMMARY
@@ -60,7 +60,7 @@ class Parts:
     end: bytes = MAGIC
 
     def bytes(self) -> bytes:
-        """Return the file; a checksum of None is the right one."""
+        """Return the file; a checksum of None is replaced by the correct one."""
         start = len(self.data) + len(DATA_END) if self.start is None else self.start
         head = struct.pack("<BQQQ", self.opcode, self.length, start, 0)
         crc = zlib.crc32(self.summary + head) if self.crc is None else self.crc
@@ -75,7 +75,7 @@ def opened(held: Held, **parts: object) -> Iterator[McapFile]:
 
 
 def test_the_index_describes_a_file(held: Held) -> None:
-    """Topics, types, counts, times of first and last message; with a checksum or without."""
+    """It contains topics, types, counts, and first and last times. The checksum is optional."""
     for crc in (0, None):
         with opened(held, crc=crc) as file:
             assert file.findings == []
@@ -93,16 +93,16 @@ def test_the_index_describes_a_file(held: Held) -> None:
             assert [time for batch in loaded for time in batch.log_ns.tolist()] == [10, 30, 40, 35]
 
 
-def test_without_statistics_the_indexes_are_counted(held: Held) -> None:
-    """And nothing is known of the file's own times."""
+def test_without_statistics_messages_are_counted_by_the_indexes(held: Held) -> None:
+    """The times of the complete file are unknown."""
     with opened(held, summary=DEFINITIONS + chunk_index(0) + chunk_index(1)) as file:
         assert file.findings == []
         assert [channel.count for channel in file.channels] == [4, 1]
         assert (file.start_ns, file.end_ns) == (None, None)
 
 
-def test_a_chunk_whose_index_is_damaged_has_no_times(held: Held) -> None:
-    """The others' are not taken for those of all; unknown records are passed over."""
+def test_a_chunk_with_a_damaged_index_has_no_times(held: Held) -> None:
+    """The total times are then unknown too. Unknown records are skipped."""
     wrong = chunk_index(0, k8=9) + chunk_index(1)
     with opened(
         held, summary=record(99, b"?") + DEFINITIONS + statistics(counts={7: 4, 8: 1}) + wrong
@@ -138,10 +138,8 @@ LEFT_OUT, POINTS = "the index does not list all chunks", "the footer points beyo
         ({"summary": DEFINITIONS + chunk_index(0, k7=9) + chunk_index(1)}, "a message index is damaged"),
     ],
 )
-def test_an_index_that_can_not_be_believed_is_left_out(
-    parts: dict[str, object], reason: str, held: Held
-) -> None:
-    """The records are scanned instead, and the reason is said; nothing of them is lost."""
+def test_a_contradicting_index_is_ignored(parts: dict[str, object], reason: str, held: Held) -> None:
+    """All records are scanned instead, the reason is reported, and no message is lost."""
     with opened(held, **parts) as file:
         (finding,) = file.findings
         assert finding.text.startswith(f"The index can't be used ({reason}); all records were scanned")
@@ -149,7 +147,7 @@ def test_an_index_that_can_not_be_believed_is_left_out(
 
 
 def test_an_empty_file_has_channels_and_no_chunks(held: Held) -> None:
-    """A recorder that was started and stopped."""
+    """The recorder was started and stopped at once."""
     with opened(held, data=MAGIC, summary=DEFINITIONS + statistics(messages=0, chunks=0)) as file:
         assert file.findings == []
         assert [(c.count, c.first_ns, c.last_ns) for c in file.channels] == [(0, None, None)] * 2
@@ -157,8 +155,8 @@ def test_an_empty_file_has_channels_and_no_chunks(held: Held) -> None:
         assert list(file.tasks(frozenset({7, 8}))) == []
 
 
-def test_the_shortest_file_is_its_magic_and_a_footer(held: Held) -> None:
-    """It has no index, and no channel: what is shorter still is none at all."""
+def test_the_shortest_file_has_only_magic_and_footer(held: Held) -> None:
+    """It has no index and no channel; a shorter file is not an MCAP file."""
     for parts, reason in (
         ({"data": MAGIC, "summary": b"", "start": 0}, "the file has no index"),
         ({"data": b"", "summary": b"", "start": 0}, "the file does not start and end as an MCAP file"),
@@ -172,7 +170,7 @@ def test_the_shortest_file_is_its_magic_and_a_footer(held: Held) -> None:
         )
 
 
-def test_the_last_byte_of_a_chunk_may_be_that_of_the_file(held: Held) -> None:
+def test_a_chunk_can_end_with_the_file(held: Held) -> None:
     """A chunk that is one byte longer extends beyond the file."""
     size = len(Parts(summary=SUMMARY + chunk_index(1, at=9, size=1)).bytes())
     with opened(held, summary=SUMMARY + chunk_index(1, at=9, size=size - 9)) as file:
@@ -183,7 +181,7 @@ def test_the_last_byte_of_a_chunk_may_be_that_of_the_file(held: Held) -> None:
 
 @pytest.mark.parametrize("known", [False, True])
 def test_an_unknown_compression_of_all_chunks_is_refused(held: Held, known: bool) -> None:  # noqa: FBT001
-    """Otherwise the name of one chunk is damaged, and the others are read."""
+    """If only one chunk has such a name, the name is damaged and the other chunks are read."""
     chunks = chunk_index(0, kind=b"" if known else b"brotli") + chunk_index(1, kind=b"brotli")
     path = held(Parts(summary=DEFINITIONS + chunks).bytes()).path
     if known:
@@ -196,7 +194,7 @@ def test_an_unknown_compression_of_all_chunks_is_refused(held: Held, known: bool
 
 
 def test_a_summary_of_gigabytes_is_damage(held: Held, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is not read; one of the longest size is."""
+    """The summary is not read if it exceeds the limit."""
     assert mcap._MAX_SUMMARY == 2**31
     size = len(SUMMARY) + 37
     for most, believed in ((size, True), (size - 1, False)):
@@ -205,8 +203,7 @@ def test_a_summary_of_gigabytes_is_damage(held: Held, monkeypatch: pytest.Monkey
             assert (file.findings == []) == believed
 
 
-def test_messages_outside_chunks_have_times_too(held: Held) -> None:
-    """The times of a channel cover chunks and messages outside them."""
+def test_the_times_of_a_channel_include_messages_outside_chunks(held: Held) -> None:
     data = DATA + message(8, 5) + message(7, 50)
     with opened(held, data=data, start=0, summary=DEFINITIONS) as file:
         assert [(c.topic, c.count, c.first_ns, c.last_ns) for c in file.channels] == [
@@ -217,7 +214,7 @@ def test_messages_outside_chunks_have_times_too(held: Held) -> None:
 
 
 def test_a_message_index_of_another_channel_is_reported(held: Held) -> None:
-    """The chunk is walked instead."""
+    """The chunk is searched record by record instead."""
     behind = len(MAGIC + CHUNKS[0])
     summary = DEFINITIONS + statistics(counts={7: 4, 8: 1}) + chunk_index(0, k8=behind) + chunk_index(1)
     with opened(held, summary=summary) as file:
@@ -243,7 +240,7 @@ def test_a_message_index_of_another_channel_is_reported(held: Held) -> None:
     ids=["other opcode", "length", "size", "part of an entry", "other channel"],
 )
 def test_a_damaged_message_index_is_not_read(damaged: bytes, held: Held) -> None:
-    """Its chunk is walked, and the damage is reported."""
+    """Its chunk is searched record by record, and the damage is reported."""
     with opened(held, data=DATA[: -len(INDEXES[1])] + damaged) as file:
         assert file.findings == []
         *_, task = file.tasks(frozenset({7}))

@@ -1,4 +1,4 @@
-"""Bags whose chunks hold records that are not alike: the short way for those that are must not be taken."""
+"""Bags with unequal records in a chunk, for which the fast decoder of equal records must not be used."""
 
 import re
 from collections.abc import Callable
@@ -12,11 +12,11 @@ from imucal.recording import Recording
 from tests.readers.logs import TOPIC, Samples, imu_messages, samples, write_bag
 
 TRUTH = samples(400, seed=20261)
-#: Messages of about 380 bytes: several chunks of some eighty.
+#: Messages have about 380 bytes, so a chunk contains about eighty.
 CHUNK = 1 << 15
-#: Which message of a topic is made odd: the last of a chunk is the one that others are compared with.
+#: The changed message: the last one of a chunk, because others are compared with it.
 ODD = 130
-#: The fields of a message's header as the writer puts them, up to the eight bytes of the time.
+#: The fields of a message header as written, without the eight bytes of the time.
 HEAD = b"\4\0\0\0op=\2\x09\0\0\0conn=\0\0\0\0\x0d\0\0\0time="
 
 
@@ -27,12 +27,12 @@ def check(recording: Recording, truth: Samples = TRUTH) -> None:
 
 
 def codes(recording: Recording) -> set[str]:
-    """Return the codes of what was found."""
+    """Return the codes of the findings."""
     return {finding.code for finding in recording.findings}
 
 
 def changed(path: Path, change: Callable[[bytes], bytes]) -> Path:
-    """Change the fields of the header of one message in the middle of a chunk."""
+    """Change the header fields of one message in the middle of a chunk."""
     data = path.read_bytes()
     heads = [place.start() for place in re.finditer(re.escape(HEAD), data)]
     assert len(heads) == TRUTH.stamps.size
@@ -50,8 +50,10 @@ def bag(folder: Path, **more: str) -> Path:
 
 
 @pytest.mark.parametrize("compression", ["none", "lz4"])
-def test_messages_of_several_sizes_and_publishers_share_chunks(compression: str, tmp_path: Path) -> None:
-    """Frame ids of other lengths, and a second sensor's messages in between."""
+def test_chunks_can_contain_messages_of_several_sizes_and_publishers(
+    compression: str, tmp_path: Path
+) -> None:
+    """Frame ids have different lengths, and messages of a second sensor are in between."""
     own = imu_messages(TRUTH, ros1=True, frames=("imu", "imu", "imu", "a_longer_frame"))
     others = imu_messages(samples(400, seed=20262), ros1=True, topic="/other", frames=("x",))
     messages = [message for pair in zip(own, others, strict=True) for message in pair]
@@ -61,15 +63,15 @@ def test_messages_of_several_sizes_and_publishers_share_chunks(compression: str,
     assert codes(recording) == {"delay"}
 
 
-def test_a_size_may_change_from_a_chunk_to_the_next(tmp_path: Path) -> None:
-    """What was learnt from one is not believed of the other."""
+def test_the_message_size_can_change_between_chunks(tmp_path: Path) -> None:
+    """The layout of one chunk must not be applied to the next one."""
     short, long = (imu_messages(TRUTH, ros1=True, frames=(frame,)) for frame in ("imu", "a_longer_frame"))
     messages = [*short[:150], *long[150:250], *short[250:]]
     check(read(write_bag(tmp_path / "log.bag", messages, compression="lz4", chunk_size=CHUNK)))
 
 
-def test_the_fields_of_one_header_may_have_another_order(tmp_path: Path) -> None:
-    """The specification leaves the order open; nothing is lost and nothing is said."""
+def test_header_fields_can_have_any_order(tmp_path: Path) -> None:
+    """The specification does not define the order. Nothing is lost or reported."""
 
     def turn(fields: bytes) -> bytes:
         return fields[8:] + fields[:8]
@@ -79,8 +81,8 @@ def test_the_fields_of_one_header_may_have_another_order(tmp_path: Path) -> None
     assert codes(recording) == {"delay"}
 
 
-def test_a_message_of_no_connection_is_lost_with_a_word(tmp_path: Path) -> None:
-    """Its chunk is walked; all others are there."""
+def test_a_message_of_an_unknown_connection_is_lost_and_reported(tmp_path: Path) -> None:
+    """Its chunk is searched record by record, and all other messages are read."""
     recording = read(changed(bag(tmp_path), lambda head: head.replace(b"conn=\0", b"conn=\7")))
     assert {"index"} <= codes(recording)
     expected = np.delete(TRUTH.all, ODD, axis=0)
@@ -90,7 +92,7 @@ def test_a_message_of_no_connection_is_lost_with_a_word(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("compression", ["none", "lz4"])
 def test_the_complete_part_of_a_truncated_bag_is_read(compression: str, tmp_path: Path) -> None:
-    """The chunk in which it is cut is lost."""
+    """The chunk with the cut is lost."""
     path = bag(tmp_path, compression=compression)
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 2])

@@ -1,4 +1,4 @@
-"""A ROS 1 bag, byte by byte: its index section, and the scan where that is missing or wrong."""
+"""A ROS 1 bag, byte by byte: its index section, and the scan if the section is missing or wrong."""
 
 import struct
 from collections.abc import Callable
@@ -36,13 +36,13 @@ SECTION = connection(1) + connection(2, b"/gps")
 
 
 def bag(held: Held, section: bytes, chunks: int = 2, connections: int = 2, at: int | None = None) -> BagFile:
-    """Return a bag of two chunks with an index section, which the head counts."""
+    """Return a bag of two chunks with an index section, which the first record counts."""
     start = HEAD + 2 * len(CHUNK) if at is None else at
     return BagFile(held(MAGIC, bag_head(start, connections, chunks), CHUNK, CHUNK, section).path)
 
 
 def infos(*places: int) -> bytes:
-    """Return the index section's records of chunks."""
+    """Return the chunk records of the index section."""
     return b"".join(chunk_info(at, {1: 2, 2: 1}, SECOND + 5 + at, 3 * SECOND + at) for at in places)
 
 
@@ -52,7 +52,7 @@ def scanned(held: Held, *parts: bytes) -> BagFile:
 
 
 def lost(bag: BagFile) -> int:
-    """Return the bytes that a scan says are lost."""
+    """Return the number of lost bytes in the scan's finding."""
     text = bag.findings[-1].text
     assert text.startswith("The index can't be used (")
     assert ("cut off or damaged" in text) == (bag.findings[-1].code == "truncated" and "The last" in text)
@@ -60,7 +60,7 @@ def lost(bag: BagFile) -> int:
 
 
 def test_the_index_section_describes_a_bag(held: Held) -> None:
-    """Chunks reach to the next one, the last to the index; times and counts are those of all chunks."""
+    """Each chunk ends at the next one, the last at the index. Times and counts are totals of all chunks."""
     found = bag(held, SECTION + infos(HEAD + len(CHUNK), HEAD))
     found.close()
     assert found.findings == []
@@ -94,10 +94,10 @@ def test_the_index_section_describes_a_bag(held: Held) -> None:
         (SECTION, {"at": 0}, "the bag was not closed and has no index"),
     ],
 )
-def test_a_damaged_index_section_is_scanned_around(
+def test_a_damaged_index_section_is_replaced_by_a_scan(
     section: bytes, options: dict[str, int], reason: str, held: Held
 ) -> None:
-    """All messages are there, each once, and the reason is said."""
+    """Each message is read once, and the reason is reported."""
     found = bag(held, section, **options)
     found.close()
     assert found.findings[-1].text.startswith(f"The index can't be used ({reason}); all records were scanned")
@@ -105,8 +105,8 @@ def test_a_damaged_index_section_is_scanned_around(
     assert (found.start_ns, found.end_ns) == (SECOND + 5, 3 * SECOND)
 
 
-def test_an_index_right_behind_the_head_is_one(held: Held) -> None:
-    """A bag that was opened and closed; one that ends where its index should begin is cut."""
+def test_an_empty_bag_has_an_index_right_after_its_first_record(held: Held) -> None:
+    """The bag was opened and closed. A bag that ends at the start of its index is truncated."""
     found = BagFile(held(MAGIC, bag_head(HEAD), connection(1)).path)
     found.close()
     assert (found.findings, found.compression, found.start_ns, found.end_ns) == ([], "none", None, None)
@@ -117,7 +117,7 @@ def test_an_index_right_behind_the_head_is_one(held: Held) -> None:
 
 
 def test_a_scan_counts_the_messages_by_index_records(held: Held) -> None:
-    """Connections may be defined between chunks too."""
+    """Connections can be defined between chunks."""
     found = scanned(held, CHUNK, connection(2, b"/gps"), CHUNK)
     found.close()
     assert lost(found) == 0
@@ -169,8 +169,8 @@ def test_the_first_record_of_a_connection_is_used(held: Held) -> None:
         (struct.pack("<I", 1 << 31) + b"?" * 30, 34),
     ],
 )
-def test_a_scan_ends_at_the_first_record_that_is_not_whole(end: bytes, left: int, held: Held) -> None:
-    """What is behind it is lost, and how much is said."""
+def test_a_scan_ends_at_the_first_incomplete_record(end: bytes, left: int, held: Held) -> None:
+    """The rest of the file is lost, and its size is reported."""
     found = scanned(held, CHUNK, end)
     found.close()
     assert lost(found) == left
@@ -201,7 +201,7 @@ def test_a_damaged_chunk_without_index_records_is_tried_when_messages_are_read(h
 
 
 def test_a_bag_with_unknown_compression_is_refused(held: Held) -> None:
-    """By name; a head that can't be read leaves it open."""
+    """The error contains the name of the compression. With a damaged first record the name is unknown."""
     path = held(MAGIC, bag_head(0), chunk(RAW, b"snappy"), connection(1)).path
     with pytest.raises(ReadError) as caught:
         BagFile(path)

@@ -1,4 +1,4 @@
-"""Which topics are taken, from what is known of them: one rule a case."""
+"""The choice of topics: each test checks one rule."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +25,7 @@ def topic(
     *,
     plain: bool = False,
 ) -> Topic:
-    """Return a topic of one number."""
+    """Return a topic with one channel."""
     channel = Channel(key=0, topic=name, type="p/Imu", encoding="cdr", count=count)
     return Topic(
         name=name,
@@ -39,7 +39,7 @@ def topic(
 
 
 def chosen(topics: list[Topic], *named: str, **live: Any) -> list[tuple[str, tuple[Sensor, ...], str]]:  # noqa: ANN401
-    """Return name, sensors and reason of what is taken; `live` is what changes, all by default."""
+    """Return name, sensors and reason of each chosen topic; `live` has the sensors that change."""
 
     def alive(one: Topic) -> frozenset[Sensor]:
         return frozenset(live.get(one.name.strip("/"), {GYRO, ACCEL}))
@@ -48,8 +48,8 @@ def chosen(topics: list[Topic], *named: str, **live: Any) -> list[tuple[str, tup
     return [(choice.topic.name, choice.sensors, choice.how) for choice in found]
 
 
-def test_the_only_one_is_taken() -> None:
-    """Empty topics, other types and plain vectors beside it are passed over."""
+def test_the_only_imu_topic_is_chosen() -> None:
+    """Empty topics, other types and plain vectors are ignored."""
     others = [topic("/empty", count=0), topic("/other", ()), topic("/plain", (GYRO,), plain=True)]
     for count in (9, 1, None):
         assert chosen([*others, topic("/imu", count=count)]) == [
@@ -57,8 +57,8 @@ def test_the_only_one_is_taken() -> None:
         ]
 
 
-def test_of_several_the_one_whose_samples_change() -> None:
-    """Or one for each sensor; else nothing is chosen."""
+def test_the_only_topic_with_changing_samples_is_chosen() -> None:
+    """Each sensor can have its own topic; otherwise the user must choose."""
     pair = [topic("/a"), topic("/b")]
     assert chosen(pair, a=()) == [("/b", (GYRO, ACCEL), "the only topic whose samples change")]
     assert chosen(pair, a={ACCEL}, b={GYRO}) == [
@@ -70,8 +70,8 @@ def test_of_several_the_one_whose_samples_change() -> None:
             chosen(pair, **live)
 
 
-def test_a_named_topic_is_taken() -> None:
-    """With or without its slash; the one of its name that carries samples."""
+def test_a_named_topic_is_chosen() -> None:
+    """The leading slash is optional. Of topics with the same name, the one with samples is chosen."""
     topics = [topic("/imu", ()), topic("/imu"), topic("/b")]
     assert chosen(topics, "imu") == [("/imu", (GYRO, ACCEL), "as given")]
     with pytest.raises(ChoiceError, match=r"topic /c of type p/Imu can't be read: too odd"):
@@ -84,7 +84,7 @@ def test_a_named_topic_is_taken() -> None:
 
 @pytest.mark.parametrize("names", [("/a", "/b"), ("/b", "/a")])
 def test_two_named_topics_are_one_for_each_sensor(names: tuple[str, str]) -> None:
-    """In either order; both must change."""
+    """The order is free, and both topics must change."""
     pair = [topic("/a"), topic("/b")]
     first, second = (name.strip("/") for name in names)
     assert [found[:2] for found in chosen(pair, *names, **{first: {GYRO}, second: {ACCEL}})] == [
@@ -106,8 +106,8 @@ def test_two_named_topics_are_one_for_each_sensor(names: tuple[str, str]) -> Non
         chosen(pair, *names, "/a")
 
 
-def test_the_available_topics_are_listed() -> None:
-    """Vectors that may be anything, a type that can't be read, or the topics there are."""
+def test_the_error_lists_the_available_topics() -> None:
+    """Cases: plain vectors, an unreadable type, and a wrong name."""
     with pytest.raises(
         ChoiceError, match="only vectors without a known meaning; choose one of these topics\n  /p"
     ):
@@ -123,8 +123,8 @@ def test_the_available_topics_are_listed() -> None:
         chosen([])
 
 
-def test_a_topic_without_names_is_a_table_without_names() -> None:
-    """It is taken if it is named, or the only one: the error then lists its columns."""
+def test_a_topic_without_sensor_names_is_chosen_if_named_or_alone() -> None:
+    """The error about its columns lists them, as for a table without names."""
     one = topic("/x", ())
     assert chosen([one]) == [("/x", BOTH, "the only topic")]
     assert chosen([one, topic("/y", ())], "/x") == [("/x", BOTH, "as given")]

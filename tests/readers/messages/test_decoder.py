@@ -1,4 +1,4 @@
-"""Messages to numbers, byte by byte, in every layout; a message of another size is damaged."""
+"""Decoding of messages in every layout, byte by byte; a message of another size is damaged."""
 
 import struct
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ def fields(text: str = TEXT, *, ros1: bool = True) -> tuple[Field, ...]:
 
 
 def payload(row: int, code: int | None, text: bytes = b"imu\0") -> bytes:
-    """Return one message: a stamp, a string, three numbers from 10 times its row on, and a temperature."""
+    """Return a message: a stamp, a string, three numbers from 10 * row on, and a temperature."""
     order, align = CODES[code]
     body = struct.pack(order + "III", row, 5, len(text)) + text
     body += bytes(-len(body) % align)
@@ -46,7 +46,7 @@ def batch(*payloads: bytes, before: bytes = b"??") -> Batch:
 
 
 def decoder(code: int | None = None) -> BinaryDecoder:
-    """Return a decoder of the messages of one encapsulation."""
+    """Return a decoder for one encapsulation."""
     return BinaryDecoder(fields(ros1=code is None), PATHS, ros1=code is None)
 
 
@@ -61,20 +61,20 @@ def check(found: Block, rows: Sequence[int]) -> None:
 
 @pytest.mark.parametrize("code", CODES)
 def test_every_encapsulation_is_decoded(code: int | None) -> None:
-    """With its byte order and alignment; the first byte of the buffer may begin a message."""
+    """A message can start at the first byte of the buffer."""
     for before in (b"??", b""):
         check(decoder(code).decode(batch(*(payload(row, code) for row in range(3)), before=before)), range(3))
 
 
 @pytest.mark.parametrize("code", [None, 1])
 @pytest.mark.parametrize("text", [b"IMU\0", b"x", b"longer than that"])
-def test_a_string_of_another_length_is_seen(code: int | None, text: bytes) -> None:
-    """It shifts what follows: one of the same length does not."""
+def test_a_string_of_another_length_shifts_the_next_fields(code: int | None, text: bytes) -> None:
+    """A different string of the same length shifts nothing."""
     check(decoder(code).decode(batch(payload(0, code), payload(1, code, text), payload(2, code))), range(3))
 
 
-def test_places_outside_the_buffer_are_not_read() -> None:
-    """Before it, or beyond it by one byte."""
+def test_messages_outside_the_buffer_are_damaged() -> None:
+    """They start before the buffer, or end one byte after it."""
     whole = batch(payload(0, 1), payload(1, 1))
     before = replace(whole, starts=np.array([whole.starts[0], -1]))
     for wrong in (before, replace(whole, buffer=bytes(whole.buffer[:-1]))):
@@ -83,8 +83,7 @@ def test_places_outside_the_buffer_are_not_read() -> None:
 
 
 @pytest.mark.parametrize("size", [8, 300])
-def test_a_stamp_may_follow_a_string(size: int) -> None:
-    """However long it is."""
+def test_a_stamp_can_follow_a_string_of_any_length(size: int) -> None:
     found = fields("string s\ntime t\nfloat64[3] g", ros1=False)
     data = [
         struct.pack(">HH", 1, 0) + struct.pack("<I", size) + b"a" * size + struct.pack("<II", row, 5)
@@ -97,8 +96,8 @@ def test_a_stamp_may_follow_a_string(size: int) -> None:
     npt.assert_array_equal(stamps, [5, 10**9 + 5])
 
 
-def test_a_quotient_is_a_rate() -> None:
-    """An increment over its own duration in µs; none where that is zero."""
+def test_an_increment_divided_by_its_duration_is_a_rate() -> None:
+    """The duration is in µs; a duration of zero gives no rate."""
     data = [struct.pack("<3fI", 1, 2, 3, micros) for micros in (500_000, 0)]
     one = BinaryDecoder(fields("float32[3] g\nuint32 dt"), ["g[0]/dt", "g[2]/dt"], ros1=True)
     log, *rates = one.decode(batch(*data))
@@ -106,15 +105,14 @@ def test_a_quotient_is_a_rate() -> None:
     npt.assert_array_equal(rates, [[2, np.nan], [6, np.nan]])
 
 
-def test_encapsulations_may_take_turns() -> None:
-    """Each message is decoded by its own, and stays in its place."""
+def test_encapsulations_can_alternate() -> None:
+    """Each message is decoded by its own encapsulation, and the order is kept."""
     messages = batch(*(payload(row, code) for row, code in enumerate((1, 0, 7, 1, 6))))
     check(decoder(1).decode(messages), range(5))
 
 
 @pytest.mark.parametrize("code", [None, 1])
-def test_a_message_that_is_shorter_than_its_type_is_damaged(code: int | None) -> None:
-    """By a byte."""
+def test_a_message_one_byte_too_short_is_damaged(code: int | None) -> None:
     with pytest.raises(DamagedError, match=r"^a message is shorter than its type$") as caught:
         decoder(code).decode(batch(payload(0, code), payload(1, code)[:-1]))
     assert caught.value.code == "damaged"
@@ -133,15 +131,15 @@ def test_messages_have_the_size_of_their_definition(code: int | None) -> None:
         assert caught.value.code == expected
 
 
-def test_what_follows_a_list_of_structures_may_have_any_size() -> None:
-    """The definition does not determine where such a message ends."""
+def test_fields_after_a_list_of_structures_can_have_any_size() -> None:
+    """The definition does not determine the end of such a message."""
     found = fields(TEXT + "\nstring[] names", ros1=False)
     one = BinaryDecoder(found, PATHS, ros1=False)
     check(one.decode(batch(*(payload(row, 1) + b"more" * row for row in range(3)))), range(3))
 
 
-def test_an_encapsulation_takes_four_bytes() -> None:
-    """A message of three has none; one of another kind is named."""
+def test_an_encapsulation_has_four_bytes() -> None:
+    """A message of three bytes is too short. The error names an unknown encapsulation."""
     with pytest.raises(DamagedError, match=r"^a message is too short for CDR$"):
         decoder(1).decode(batch(b"\0\1\0"))
     with pytest.raises(DamagedError, match=r"extends beyond"):
@@ -154,16 +152,15 @@ def test_an_encapsulation_takes_four_bytes() -> None:
     )
 
 
-def test_a_string_can_not_be_longer_than_its_chunk() -> None:
-    """Its length is what is damaged."""
+def test_a_string_longer_than_its_chunk_is_damaged() -> None:
     data = bytearray(payload(0, 1))
     struct.pack_into("<I", data, 12, 1 << 30)
     with pytest.raises(DamagedError, match=r"^s declares 1073741824 elements, more than its chunk contains$"):
         decoder(1).decode(batch(bytes(data)))
 
 
-def test_sequences_take_the_room_of_their_elements() -> None:
-    """Numbers of eight bytes are aligned where there are any; of an empty one only its length is there."""
+def test_sequences_have_the_size_of_their_elements() -> None:
+    """Numbers of eight bytes are aligned; an empty sequence consists only of its length."""
     text = "float64[] v\ntime t\nfloat64[3] g"
     for code in (None, 1, 7):
         order, align = CODES[code]
@@ -184,14 +181,14 @@ def test_sequences_take_the_room_of_their_elements() -> None:
             npt.assert_array_equal(one.decode(batch(item))[2:], expected[row][:, np.newaxis])
 
 
-def test_seconds_are_signed_in_ros_2_alone() -> None:
-    """A ROS 1 stamp reaches to the year 2106, a ROS 2 one before 1970."""
+def test_seconds_are_signed_only_in_ros_2() -> None:
+    """A ROS 1 stamp can be up to the year 2106, a ROS 2 stamp can be before 1970."""
     assert [field.code for field in fields("time t")] == ["u4", "u4"]
     assert [field.code for field in fields("builtin_interfaces/Time t", ros1=False)] == ["i4", "u4"]
 
 
-def test_numbers_before_lists_of_texts_are_reached_by_steps() -> None:
-    """So are elements of arrays; a text, and what stands behind such a list, take another way."""
+def test_numbers_before_lists_of_strings_are_reachable() -> None:
+    """Elements of arrays are reachable too. Strings and fields after such a list need the slow decoder."""
     assert is_reachable(PATHS, fields())
     for path, reached in (("c", True), ("g[2]", True), ("g[3]", False), ("s", False), ("none", False)):
         assert is_reachable([path], fields()) == reached

@@ -1,4 +1,4 @@
-"""Edges of what a message or a topic says: stamps that are missing, and logs of very few samples."""
+"""Missing stamps in messages, the description of topics, and logs of very few samples."""
 
 import json
 from contextlib import closing
@@ -24,7 +24,7 @@ GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
 
 
 def decoded(path: str, *messages: object) -> np.ndarray[Any, np.dtype[Any]]:
-    """Return what a path leads to in JSON messages."""
+    """Return the values at a path in JSON messages."""
     texts = [json.dumps(message).encode() for message in messages]
     sizes = np.array([len(text) for text in texts])
     starts = np.cumsum(sizes) - sizes
@@ -47,16 +47,18 @@ def decoded(path: str, *messages: object) -> np.ndarray[Any, np.dtype[Any]]:
         ({"time": {"sec": 1, "nsec": 2, "more": 3}}, "time.sec number", None),
     ],
 )
-def test_times_in_json_messages(message: dict[str, Any], leaf: str | None, stamp: float | None) -> None:
-    """Whole seconds and nanoseconds are one time; everything else is what it is."""
+def test_seconds_and_nanoseconds_of_json_messages_are_one_time(
+    message: dict[str, Any], leaf: str | None, stamp: float | None
+) -> None:
+    """Other members of the message are separate fields."""
     found = [str(one) for one in leaves_of_tree(message)]
     assert found[:1] == ([leaf] if leaf else [])
     if leaf is not None and stamp is not None:
         np.testing.assert_array_equal(decoded(leaf.partition(" ")[0], message), [stamp])
 
 
-def test_numbers_in_json_messages() -> None:
-    """Whole numbers keep their digits; null is no number, and one of 65 bits is damage."""
+def test_integers_of_json_messages_keep_their_digits() -> None:
+    """A null becomes NaN, and an integer of 65 bits is damage."""
     big = 1_700_000_000_000_000_001
     assert decoded("v[1]", {"v": [0, big]}).tolist() == [big]
     np.testing.assert_array_equal(decoded("a.x", {"a": {"x": 1}}, {"a": {"x": None}}), [1, np.nan])
@@ -131,7 +133,7 @@ def test_the_table_of_topics() -> None:
 
 
 @pytest.mark.parametrize(("n", "last"), [(24, "  /a  p/B  ? messages"), (25, "  and 1 more")])
-def test_a_long_table_is_cut(n: int, last: str) -> None:
+def test_a_long_table_of_topics_is_cut(n: int, last: str) -> None:
     lines = table([Topic(name="/a", type="p/B", channels=(channel(),))] * n).splitlines()
     assert (len(lines), lines[-1]) == (n, last)
 
@@ -152,7 +154,7 @@ def test_a_long_table_is_cut(n: int, last: str) -> None:
 def test_the_only_temperature_in_the_imus_namespace_is_read(
     names: list[str], imu: str, read: str | None
 ) -> None:
-    """In its own namespace; others may be those of other things, and an empty one says nothing."""
+    """Temperatures in other namespaces can belong to other devices, and empty topics are ignored."""
     topics = [
         Topic(
             name=name,
@@ -165,7 +167,6 @@ def test_the_only_temperature_in_the_imus_namespace_is_read(
     assert (found.name if found else None) == read
 
 
-def test_a_temperature_that_can_not_be_read_is_none() -> None:
-    """Nothing is fitted to it."""
+def test_an_unreadable_temperature_is_ignored() -> None:
     topic = Topic(name="/imu/temp", type="sensor_msgs/msg/Temperature", channels=(channel(),))
     assert read_temperature([], topic) is None

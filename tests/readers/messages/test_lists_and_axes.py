@@ -20,7 +20,7 @@ from tests.readers.messages.test_named_columns import json_log, protobuf_log, si
 
 TRUTH = samples(120)
 KIND = "acme/msg/Some"
-#: Samples in each message; a buffer is not always read when it holds as many.
+#: Samples in each message; the size varies because buffers are not read at exact intervals.
 COUNTS = [8, 7, 9] * 5
 ENDS = np.cumsum(COUNTS)
 RAD: dict[str, Any] = {"gyro_unit": "rad/s"}
@@ -31,7 +31,7 @@ def rows_of(message: int) -> range:
 
 
 def ros_log(folder: Path, kind: str, *, stamped: bool) -> Path:
-    """Write messages of lists of IMUs, with stamps in each element or only in the message."""
+    """Write messages with lists of IMUs, with stamps in each element or only in the message."""
     ros1 = kind == "bag"
     one = ("std_msgs/Header header\n" if stamped else "") + "float64[3] rate\ngeometry_msgs/Vector3 force"
     types = store(ros1=ros1, acme__msg__Some="std_msgs/Header header\nOne[] imus", acme__msg__One=one)
@@ -58,8 +58,8 @@ def ros_log(folder: Path, kind: str, *, stamped: bool) -> Path:
 
 @pytest.mark.parametrize("kind", ["mcap", "bag", "db3"])
 @pytest.mark.parametrize("stamped", [True, False])
-def test_one_element_of_a_list(kind: str, tmp_path: Path, *, stamped: bool) -> None:
-    """One sample a message, at its own time or at the message's."""
+def test_one_element_of_a_list_can_be_read(kind: str, tmp_path: Path, *, stamped: bool) -> None:
+    """Each message gives one sample, at the time of the element or of the message."""
     path = ros_log(tmp_path, kind, stamped=stamped)
     firsts = [rows_of(number)[0] for number in range(len(COUNTS))]
     time = ",t=imus[0].header.stamp" if stamped else ""
@@ -70,8 +70,7 @@ def test_one_element_of_a_list(kind: str, tmp_path: Path, *, stamped: bool) -> N
 
 
 @pytest.mark.parametrize("fields", ["gyro=imus[].rate", "gyro.z=gz[]"])
-def test_lists_of_samples_are_refused(fields: str, tmp_path: Path) -> None:
-    """The error explains what to do instead."""
+def test_lists_of_samples_are_refused_with_an_alternative(fields: str, tmp_path: Path) -> None:
     paths = fields.partition("=")[2].replace("[]", "[0]")
     with pytest.raises(ChoiceError) as caught:
         columns_of_fields([fields], None)
@@ -83,8 +82,8 @@ def test_lists_of_samples_are_refused(fields: str, tmp_path: Path) -> None:
     assert (done.returncode, "lists of samples in one message" in done.stderr) == (3, True)
 
 
-def test_a_damaged_message_is_lost_alone(tmp_path: Path) -> None:
-    """One that is no JSON, and one whose list is too short: the others are read."""
+def test_only_damaged_json_messages_are_lost(tmp_path: Path) -> None:
+    """One message is not JSON, and one has a list that is too short."""
     data = [json.dumps({"g": TRUTH.gyro[i].tolist()}).encode() for i in range(120)]
     data[4], data[5] = b"{", b'{"g": [1.0, 2.0]}'
     messages = [
@@ -100,7 +99,7 @@ def test_a_damaged_message_is_lost_alone(tmp_path: Path) -> None:
 
 
 def turn_log(folder: Path) -> Path:
-    """Write JSON with two numbers, of which one tells its axis."""
+    """Write JSON with two numbers; only one has a name with an axis."""
 
     def build(row: int) -> object:
         rate = float(TRUTH.gyro[row, 2])
@@ -120,8 +119,10 @@ def turn_log(folder: Path) -> Path:
     ],
     ids=["mcap", "json", "protobuf", "bag", "db3"],
 )  # fmt: skip
-def test_one_axis(write: Callable[[Path], Path], columns: str, other: str, tmp_path: Path) -> None:
-    """Whatever the name of the column is; the others are not there."""
+def test_a_single_axis_can_be_read(
+    write: Callable[[Path], Path], columns: str, other: str, tmp_path: Path
+) -> None:
+    """The name of the column is free, and the recording has no other axis."""
     path = write(tmp_path)
     rows = [rows_of(k)[2] for k in range(len(COUNTS))] if "imus" in columns else slice(None)
     for text, name in ((columns, "gyro_z"), (other, "gyro_x")):
@@ -130,16 +131,16 @@ def test_one_axis(write: Callable[[Path], Path], columns: str, other: str, tmp_p
         npt.assert_array_equal(recording.series[0].samples, TRUTH.gyro[rows, 2])
 
 
-def test_two_axes_and_another_sensor(tmp_path: Path) -> None:
-    """Each sensor has the axes that are named, in the order x, y, z."""
+def test_some_axes_of_a_sensor_can_be_read(tmp_path: Path) -> None:
+    """The result has the order x, y, z."""
     recording = read(single(tmp_path), columns="gz=gz,gx=gx,a=ax+ay+az", **RAD)
     names = ["gyro_x", "gyro_z", "accel_x", "accel_y", "accel_z"]
     assert [series.name for series in recording.series] == names
     npt.assert_array_equal(axes(recording), TRUTH.all[:, [0, 2, 3, 4, 5]])
 
 
-def test_an_axis_that_no_name_tells(tmp_path: Path) -> None:
-    """The error says what to type, and that works; so does the deprecated option, with a hint."""
+def test_the_axis_of_a_column_without_axis_name_must_be_given(tmp_path: Path) -> None:
+    """The error shows the columns text, which works. The deprecated option works with a warning."""
     path = json_log(tmp_path, lambda i: {"turn": float(TRUTH.gyro[i, 2])})
     with pytest.raises(ChoiceError) as caught:
         read(path, columns="g=turn", **RAD)

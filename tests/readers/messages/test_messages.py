@@ -1,4 +1,4 @@
-"""Message types of every layout: what rosbags wrote by its own code, the walker finds by the definition."""
+"""Message types of every layout: decoding by the definition equals the values that rosbags wrote."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -41,7 +41,7 @@ def check(recording: Recording, truth: Samples = TRUTH) -> None:
 
 
 def messages_of(kind: str, types: Any, build: Any, *, big: bool = False) -> list[Message]:  # noqa: ANN401
-    """Serialise one message a sample; `build` gets the row."""
+    """Serialise one message per sample; `build` gets the row."""
     return [
         Message(
             topic=TOPIC,
@@ -55,18 +55,18 @@ def messages_of(kind: str, types: Any, build: Any, *, big: bool = False) -> list
 
 @pytest.mark.parametrize("order", ["little", "big"])
 @pytest.mark.parametrize("frames", [("imu",), ("a", "imu_link", "", "a/very/long/frame/of/reference", "xyz")])
-def test_reads_frame_ids_of_any_length_in_both_byte_orders(
+def test_frame_ids_of_any_length_are_read_in_both_byte_orders(
     frames: Sequence[str],
     order: str,
     tmp_path: Path,
 ) -> None:
-    """Strings of different lengths shift what follows, message by message."""
+    """Strings of different lengths shift the following fields from message to message."""
     messages = imu_messages(TRUTH, frames=frames, little_endian=order == "little")
     check(read(write_mcap(tmp_path / "log.mcap", messages)))
 
 
-def test_reads_both_byte_orders_in_one_topic(tmp_path: Path) -> None:
-    """Two publishers on different machines."""
+def test_one_topic_can_have_both_byte_orders(tmp_path: Path) -> None:
+    """The two publishers run on different machines."""
     little = imu_messages(TRUTH, frames=("a", "abcdef"))
     big = imu_messages(TRUTH, frames=("a", "abcdef"), little_endian=False)
     mixed = [(big if row % 3 else little)[row] for row in range(len(little))]
@@ -74,14 +74,14 @@ def test_reads_both_byte_orders_in_one_topic(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("frames", [("imu",), ("a", "bcd")])
-def test_reads_ros1_frame_ids_of_any_length(frames: Sequence[str], tmp_path: Path) -> None:
-    """ROS 1 strings have no terminator and nothing is aligned."""
+def test_ros1_frame_ids_of_any_length_are_read(frames: Sequence[str], tmp_path: Path) -> None:
+    """ROS 1 strings have no terminator, and no field is aligned."""
     messages = imu_messages(TRUTH, ros1=True, frames=frames)
     check(read(write_bag(tmp_path / "log.bag", messages, compression="lz4")))
 
 
-def test_reads_xcdr2(tmp_path: Path) -> None:
-    """Doubles are aligned to four bytes; laid out by hand here."""
+def test_xcdr2_is_read(tmp_path: Path) -> None:
+    """XCDR2 aligns doubles to four bytes; the test builds the messages by hand."""
     result = []
     for row, message in enumerate(imu_messages(TRUTH)):
         stamp = int(TRUTH.stamps[row])
@@ -95,8 +95,8 @@ def test_reads_xcdr2(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("code", [0x0002, 0x0003, 0x0009, 0x1234])
-def test_refuses_other_encapsulations(code: int, tmp_path: Path) -> None:
-    """Parameter lists and the like are laid out in another way."""
+def test_other_encapsulations_are_refused(code: int, tmp_path: Path) -> None:
+    """Parameter lists, for example, have another layout."""
     messages = [
         Message(topic=TOPIC, type=IMU, log=m.log, data=code.to_bytes(2, "big") + m.data[2:])
         for m in imu_messages(TRUTH)
@@ -126,8 +126,8 @@ float64 temperature
 
 
 @pytest.mark.parametrize("big", [False, True])
-def test_reads_custom_types_that_hold_an_imu(big: bool, tmp_path: Path) -> None:  # noqa: FBT001
-    """Strings, sequences and structures in front, at another depth; the type's name says nothing."""
+def test_an_imu_within_a_custom_type_is_read(big: bool, tmp_path: Path) -> None:  # noqa: FBT001
+    """Strings, sequences and structures precede the IMU, and the name of the type has no meaning."""
     text = CUSTOM.replace("string[2] fixed_names\n", "")
     types = store(acme__msg__Widget=text)
     known = types.types
@@ -154,8 +154,8 @@ def test_reads_custom_types_that_hold_an_imu(big: bool, tmp_path: Path) -> None:
     npt.assert_array_equal(recording.temperature.samples, 20.0 + np.arange(120))
 
 
-def test_numbers_behind_a_list_of_texts_are_read(tmp_path: Path) -> None:
-    """Structures of strings in front can't be skipped at once: messages are parsed one by one."""
+def test_numbers_after_a_list_of_strings_are_read(tmp_path: Path) -> None:
+    """Structures with strings have no fixed size, so messages are parsed one by one."""
     types = store(acme__msg__ImuList="diagnostic_msgs/KeyValue[] pairs\nbool[2] on\nsensor_msgs/Imu imu")
     known = types.types
     pair = known["diagnostic_msgs/msg/KeyValue"](key="a", value="b")
@@ -198,8 +198,8 @@ uint8 gyro_calibration_count
 
 
 @pytest.mark.parametrize("defined", [True, False])
-def test_reads_px4_sensor_combined(defined: bool, tmp_path: Path) -> None:  # noqa: FBT001
-    """Microseconds and arrays of float32; a log without the definition needs its .msg file."""
+def test_px4_sensor_combined_is_read(defined: bool, tmp_path: Path) -> None:  # noqa: FBT001
+    """The stamps are microseconds. A log without the definition needs the .msg file."""
     types = store(px4_msgs__msg__SensorCombined=PX4_COMBINED)
     single = TRUTH.all.astype(np.float32)
 
@@ -221,8 +221,8 @@ def test_reads_px4_sensor_combined(defined: bool, tmp_path: Path) -> None:  # no
     assert recording.series[0].clock.start_ns == TRUTH.stamps[0]
 
 
-def test_reads_px4_vehicle_imu(tmp_path: Path) -> None:
-    """Increments over a time each become rates; a time of zero gives no sample."""
+def test_increments_of_px4_vehicle_imu_become_rates(tmp_path: Path) -> None:
+    """An increment is divided by its duration; a duration of zero gives no sample."""
     types = store(px4_msgs__msg__VehicleImu=PX4_IMU)
     spans = np.where(np.arange(120) % 2, 9_990, 10_010).astype(np.uint32)
     spans[50] = 0
@@ -244,8 +244,8 @@ def test_reads_px4_vehicle_imu(tmp_path: Path) -> None:
     assert recording.series[0].clock.start_ns == TRUTH.stamps[0]
 
 
-def test_refuses_a_built_in_definition_that_does_not_fit(tmp_path: Path) -> None:
-    """Another version of the type has another size: better no samples than wrong ones."""
+def test_a_built_in_definition_of_another_size_is_refused(tmp_path: Path) -> None:
+    """The log has another version of the type, so samples would be wrong."""
     messages = [
         Message(topic=TOPIC, type=IMU, log=m.log, data=m.data + bytes(16)) for m in imu_messages(TRUTH)
     ]
@@ -255,7 +255,7 @@ def test_refuses_a_built_in_definition_that_does_not_fit(tmp_path: Path) -> None
 
 
 def test_a_damaged_definition_is_refused(tmp_path: Path) -> None:
-    """A definition that lost a field would shift all others; the right one can be given."""
+    """A missing field would shift all other fields. The user can give the right definition."""
     text, _ = store().generate_msgdef(IMU, ros_version=2)
     damaged = text.replace("float64[9] angular_velocity_covariance", "float64[8] angular_velocity_covariance")
     assert damaged != text
@@ -264,8 +264,8 @@ def test_a_damaged_definition_is_refused(tmp_path: Path) -> None:
         read(path)
 
 
-def test_reads_json_messages(tmp_path: Path) -> None:
-    """Foxglove's way of writing a ROS message."""
+def test_json_messages_are_read(tmp_path: Path) -> None:
+    """Foxglove writes ROS messages as JSON."""
     import json
 
     messages = []
@@ -280,8 +280,8 @@ def test_reads_json_messages(tmp_path: Path) -> None:
     check(read(write_mcap(tmp_path / "log.mcap", messages, definitions={IMU: ("jsonschema", "{}")})))
 
 
-def test_a_json_stamp_beyond_all_times_loses_its_message_alone(tmp_path: Path) -> None:
-    """It is no number of 64 bits; the others are read, and it is said."""
+def test_a_json_stamp_beyond_64_bits_loses_only_its_message(tmp_path: Path) -> None:
+    """The other messages are read, and a finding reports the loss."""
     import json
 
     messages = []
@@ -298,8 +298,8 @@ def test_a_json_stamp_beyond_all_times_loses_its_message_alone(tmp_path: Path) -
     assert "a JSON message has no IMU sample: OverflowError" in recording.findings[0].text
 
 
-def test_refuses_an_encoding_by_name(tmp_path: Path) -> None:
-    """Topic, type and encoding, and what can be read."""
+def test_an_unknown_encoding_is_refused(tmp_path: Path) -> None:
+    """The error contains topic, type, encoding and the supported encodings."""
     messages = [
         Message(topic=TOPIC, type="acme.Imu", log=log, data=b"\x0a\x00", encoding="flatbuffer")
         for log in TRUTH.log.tolist()
@@ -314,8 +314,8 @@ def test_refuses_an_encoding_by_name(tmp_path: Path) -> None:
     )
 
 
-def test_a_definition_file_makes_up_for_a_missing_one(tmp_path: Path) -> None:
-    """A bag from before ROS 2 Iron with a type of one's own."""
+def test_a_definition_file_replaces_a_missing_definition(tmp_path: Path) -> None:
+    """Bags before ROS 2 Iron contain no definitions of custom types."""
     text = "std_msgs/Header header\nfloat32 spare\nfloat64[3] gyro\nfloat64[3] accel\n"
     types = store(acme__msg__RawImu=text)
 
@@ -342,8 +342,7 @@ def test_a_definition_file_makes_up_for_a_missing_one(tmp_path: Path) -> None:
     assert [finding.code for finding in recording.findings] == ["delay", "unit-assumed"]
 
 
-def test_units_of_a_type_of_ones_own(tmp_path: Path) -> None:
-    """The caller says deg/s and g, or a scale."""
+def test_units_and_scales_of_messages_can_be_given(tmp_path: Path) -> None:
     path = write_db3(tmp_path / "bag", imu_messages(TRUTH))
     recording = read(path, gyro_unit="deg/s", accel_scale=0.5)
     npt.assert_allclose(axes(recording)[:, :3], np.deg2rad(TRUTH.gyro), rtol=1e-15)
@@ -354,8 +353,8 @@ def test_units_of_a_type_of_ones_own(tmp_path: Path) -> None:
         read(path, gyro_unit="furlong")
 
 
-def test_two_publishers_may_differ(tmp_path: Path) -> None:
-    """One topic, two channels: other definitions, other frame ids, and a byte too many at the end."""
+def test_two_publishers_of_a_topic_can_differ(tmp_path: Path) -> None:
+    """The two channels have different definitions and frame ids, and one has an extra byte at the end."""
     from mcap.writer import Writer
 
     types = store()
@@ -377,8 +376,8 @@ def test_two_publishers_may_differ(tmp_path: Path) -> None:
     assert [topic.count for topic in describe(path).topics] == [120]
 
 
-def test_takes_the_built_in_definition_for_idl(tmp_path: Path) -> None:
-    """Of an IDL definition only the name is understood; types of one's own need a .msg file."""
+def test_the_built_in_definition_replaces_an_idl_definition(tmp_path: Path) -> None:
+    """IDL definitions are not parsed; custom types need a .msg file."""
     path = write_mcap(
         tmp_path / "log.mcap", imu_messages(TRUTH), definitions={IMU: ("ros2idl", "module sensor_msgs {};")}
     )
@@ -394,8 +393,8 @@ def test_takes_the_built_in_definition_for_idl(tmp_path: Path) -> None:
     )
 
 
-def test_not_a_number_passes_through(tmp_path: Path) -> None:
-    """What to do with it is not the reader's business."""
+def test_nan_and_infinity_in_messages_are_kept(tmp_path: Path) -> None:
+    """The reader does not decide what to do with them."""
     truth = samples(50)
     truth.gyro[3, 1] = np.nan
     truth.accel[7, 2] = np.inf

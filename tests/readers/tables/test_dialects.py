@@ -1,4 +1,4 @@
-"""A text dialect is one entry of a table, one example and one word in the manual; what is missing is said."""
+"""A text dialect needs a table entry, an example and a word in the manual; missing parts are reported."""
 
 import re
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ MANUAL = Path(__file__).parents[3] / "docs" / "formats.md"
 def forgotten(
     dialect: Dialect, folder: Path, styles: Sequence[Style] = STYLES, manual: str | None = None
 ) -> list[str]:
-    """Return what an entry of `DIALECTS` still lacks, a sentence each."""
+    """Return a sentence for each part that an entry of `DIALECTS` lacks."""
     missing = [*_wrong_units(dialect), *_wrong_names(dialect), *_without_example(dialect, folder, styles)]
     known = (manual or MANUAL.read_text(encoding="utf-8")).partition("## Tables")[2].partition("## Units")[0]
     if not re.search(rf"\b{re.escape(dialect.name)}\b", known):
@@ -60,7 +60,7 @@ def _wrong_names(dialect: Dialect) -> list[str]:
 
 
 def _without_example(dialect: Dialect, folder: Path, styles: Sequence[Style]) -> list[str]:
-    """Read the examples of a dialect: one must show the entry, and each of its sensors be found."""
+    """Read the examples of a dialect: one must show the entry, and each of its sensors must be found."""
     examples = [s for s in styles if s.layout == dialect.name and not s.file.endswith(".zip")]
     if not examples:
         example = f"Style(layout={dialect.name!r})"
@@ -94,14 +94,14 @@ def _without_example(dialect: Dialect, folder: Path, styles: Sequence[Style]) ->
 
 
 def _strange(names: Sequence[str]) -> str:
-    """Return the names that have an axis but say no sensor."""
+    """Return the names that have an axis but no known sensor."""
     columns = [parse_column(name, i) for i, name in enumerate(names)]
     return ", ".join(c.header for c in columns if c.axis is not None and c.role is Role.OTHER)
 
 
 @pytest.mark.parametrize("dialect", DIALECTS, ids=lambda dialect: dialect.name)
-def test_nothing_is_forgotten(dialect: Dialect, tmp_path: Path) -> None:
-    """Each entry has units, an example that shows it, and its word in the manual."""
+def test_a_dialect_is_complete(dialect: Dialect, tmp_path: Path) -> None:
+    """Each entry has units, an example and its word in the manual."""
     assert forgotten(dialect, tmp_path) == []
 
 
@@ -115,8 +115,10 @@ EXAMPLE = Style(name="Acme logger", build=_acme_text, layout="Acme")
 WORDS = "## Tables\nHeaders of Acme and others are known.\n## Units"
 
 
-def test_one_entry_and_one_example_make_a_dialect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing else has to be touched for its units to be known."""
+def test_a_table_entry_and_an_example_define_a_dialect(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The units are known without further changes."""
     path = write(EXAMPLE, tmp_path)
     with pytest.raises(ChoiceError, match="the unit of the gyroscope is unknown"):
         read(path, ReadOptions())
@@ -143,18 +145,20 @@ def test_one_entry_and_one_example_make_a_dialect(tmp_path: Path, monkeypatch: p
         ({"name": "Apex"}, "docs/formats.md does not name it: add it to the headers listed under Tables"),
     ],
 )
-def test_missing_parts_are_reported(
+def test_missing_parts_of_a_dialect_are_reported(
     change: dict[str, Any], sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A half-made entry fails with a sentence that says what to do."""
+    """The sentence explains what to do."""
     broken = replace(ACME, **change)
     monkeypatch.setattr(dialects, "DIALECTS", (*DIALECTS, broken))
     said = forgotten(broken, tmp_path, (*STYLES, EXAMPLE), WORDS)
     assert any(each.startswith(f"{broken.name}: {sentence}") for each in said), said
 
 
-def test_a_sensor_that_is_never_found_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A dialect is complete only where each sensor of its example is read."""
+def test_an_unrecognised_sensor_of_a_dialect_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each sensor of its example must be read."""
     half = replace(ACME, headers=("turn_gyro_x", "push_x"))
     example = replace(EXAMPLE, build=lambda true: _acme_text(true).replace("push_accel", "push"))
     monkeypatch.setattr(dialects, "DIALECTS", (*DIALECTS, half))
@@ -168,7 +172,7 @@ def test_a_sensor_that_is_never_found_is_reported(tmp_path: Path, monkeypatch: p
 
 
 def test_an_unknown_word_for_a_sensor_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the names of the columns say no sensor, the sentence names them and the module to teach."""
+    """The sentence contains the column names and the module to extend."""
     strange = replace(ACME, headers=("twirl_x",))
     example = replace(EXAMPLE, build=lambda true: re.sub("turn_gyro|push_accel", "twirl", _acme_text(true)))
     monkeypatch.setattr(dialects, "DIALECTS", (*DIALECTS, strange))

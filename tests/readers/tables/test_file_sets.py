@@ -1,4 +1,4 @@
-"""Files that are read together: which are chosen, and how they become one."""
+"""Files that are read together: their selection, and how they become one recording."""
 
 import zipfile
 from dataclasses import replace
@@ -19,7 +19,7 @@ from tests.readers.tables.texts import EPOCH, N, truth
 
 
 def recording(sensor: Sensor, start_ns: int, *texts: str, temperature: bool = False) -> Recording:
-    """Return one axis, with findings and decisions of some texts."""
+    """Return a recording of one axis, with the given findings and decisions."""
     clock = replace(Clock.even(4, 10.0), start_ns=start_ns)
     return Recording(
         source=Source(
@@ -31,8 +31,8 @@ def recording(sensor: Sensor, start_ns: int, *texts: str, temperature: bool = Fa
     )
 
 
-def test_recordings_of_two_files_become_one() -> None:
-    """The gyroscope first; what both say is said once; the first temperature there is."""
+def test_two_recordings_are_merged() -> None:
+    """The gyroscope comes first, duplicate findings are removed, and the first temperature is used."""
     accel = recording(Sensor.ACCELEROMETER, 5, "both", "accel")
     gyro = recording(Sensor.GYROSCOPE, 7, "both", "gyro", temperature=True)
     whole = merge([accel, gyro], ["a.csv", "g.csv"], "folder")
@@ -48,8 +48,8 @@ def test_recordings_of_two_files_become_one() -> None:
     assert whole.temperature is gyro.temperature
 
 
-def test_a_recording_of_one_file_is_itself() -> None:
-    """Under the name of the set."""
+def test_a_single_recording_is_only_renamed() -> None:
+    """It gets the name of the set."""
     gyro = recording(Sensor.GYROSCOPE, 7, "one")
     whole = merge([gyro], ["g.csv"], "folder")
     assert whole.source.path == "folder"
@@ -57,8 +57,8 @@ def test_a_recording_of_one_file_is_itself() -> None:
     assert whole.source.decisions == gyro.source.decisions
 
 
-def test_clocks_that_are_equal_become_one() -> None:
-    """So that what is found about them is found once."""
+def test_equal_clocks_are_shared() -> None:
+    """Findings about a shared clock are reported once."""
     parts = [recording(Sensor.ACCELEROMETER, 5), recording(Sensor.GYROSCOPE, 5)]
     first, second = merge(parts, ["a", "g"], "folder").series
     assert first.clock is second.clock
@@ -102,8 +102,8 @@ def is_truth(path: Path, **options: Any) -> None:  # noqa: ANN401 - options of a
 
 @pytest.mark.parametrize("packed", [True, False])
 @pytest.mark.parametrize("empty", ["", table()], ids=["no bytes", "a header"])
-def test_empty_files_are_passed_over(empty: str, packed: bool, tmp_path: Path) -> None:  # noqa: FBT001
-    """A phone may log the uncalibrated sensors alone."""
+def test_empty_files_are_skipped(empty: str, packed: bool, tmp_path: Path) -> None:  # noqa: FBT001
+    """Phones can log only the uncalibrated sensors."""
     files = {"Gyroscope.csv": empty, "Accelerometer.csv": empty, "TotalAcceleration.csv": empty}
     path = written(tmp_path, files | UNCALIBRATED | META, packed=packed)
     is_truth(path)
@@ -113,8 +113,8 @@ def test_empty_files_are_passed_over(empty: str, packed: bool, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("packed", [True, False])
-def test_a_file_is_a_topic(packed: bool, tmp_path: Path) -> None:  # noqa: FBT001
-    """The calibrated files are read unless others are named."""
+def test_a_file_name_can_be_given_as_topic(packed: bool, tmp_path: Path) -> None:  # noqa: FBT001
+    """Without a topic the calibrated files are read."""
     files = {"Gyroscope.csv": table(2 * GYRO), "TotalAcceleration.csv": table(2 * ACCEL)}
     path = written(tmp_path, files | UNCALIBRATED | META, packed=packed)
     found = read(path)
@@ -126,8 +126,8 @@ def test_a_file_is_a_topic(packed: bool, tmp_path: Path) -> None:  # noqa: FBT00
         read(path, topic="gyro")
 
 
-def test_two_files_of_a_sensor_are_for_the_user_to_choose(tmp_path: Path) -> None:
-    """None of them has a usual name."""
+def test_two_files_of_one_sensor_require_a_choice(tmp_path: Path) -> None:
+    """Neither file has a usual name."""
     path = written(tmp_path, {"gyro_a.csv": table(GYRO), "gyro_b.csv": table(2 * GYRO)}, packed=True)
     with pytest.raises(ChoiceError) as caught:
         read(path)
@@ -139,8 +139,8 @@ def test_two_files_of_a_sensor_are_for_the_user_to_choose(tmp_path: Path) -> Non
     np.testing.assert_array_equal(read(path, topic="gyro_b.csv").series[0].samples, 2 * GYRO[:, 0])
 
 
-def test_files_without_a_sensor_in_their_names(tmp_path: Path) -> None:
-    """Their columns tell; next to files with names such a file is not needed."""
+def test_columns_identify_the_sensor_of_a_file_without_a_sensor_name(tmp_path: Path) -> None:
+    """Such a file is ignored if other files have a sensor in their names."""
     both = table(GYRO, "time,seconds_elapsed,gyro_z,gyro_y,gyro_x")
     path = written(tmp_path, {"one.csv": both, "notes.txt": "nothing\n"}, packed=False)
     assert [series.name for series in read(path, gyro_unit="rad/s").series] == ["gyro_x", "gyro_y", "gyro_z"]

@@ -1,4 +1,4 @@
-"""Arrays and frames as named columns: which side is the samples, what is a rate, how deep structures go."""
+"""Arrays and data frames become named columns: axis of the samples, sampling rates, nested structures."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -38,15 +38,15 @@ def shapes(name: str, array: Any) -> list[tuple[str, int]]:  # noqa: ANN401 - an
         ((64, 65), [(f"v[:,{i}]", 65) for i in range(64)]),
     ],
 )
-def test_the_longer_side_of_a_matrix_is_its_samples(
+def test_the_longer_dimension_of_a_matrix_contains_the_samples(
     shape: tuple[int, ...], expected: list[tuple[str, int]]
 ) -> None:
-    """Up to 64 columns; a square one stands as it is."""
+    """It has up to 64 columns; a square matrix is not transposed."""
     assert shapes("v", np.zeros(shape)) == expected
 
 
-def test_a_lying_matrix_is_stood_up() -> None:
-    """Its rows are the columns; one without a name has columns without names."""
+def test_a_wide_matrix_is_transposed() -> None:
+    """Its rows become columns; without a name of the matrix, columns have no names."""
     array = np.arange(10.0).reshape(2, 5)
     assert [column.values.tolist() for column in _of_array("v", array)] == array.tolist()
     assert [column.name for column in _of_array("", array)] == ["", ""]
@@ -54,8 +54,8 @@ def test_a_lying_matrix_is_stood_up() -> None:
     assert alone.values.tolist() == [0.0, 1.0, 2.0]
 
 
-def test_a_record_is_its_fields() -> None:
-    """Each an array of its own, with or without a name in front."""
+def test_each_field_of_a_record_is_an_array() -> None:
+    """The name of the record, if any, precedes the names of the fields."""
     table = np.zeros(4, dtype=[("t", "<i8"), ("gyro", "<f8", 3)])
     assert shapes("", table) == [("t", 4), ("gyro[0]", 4), ("gyro[1]", 4), ("gyro[2]", 4)]
     assert shapes("imu", table)[0] == ("imu.t", 4)
@@ -73,22 +73,24 @@ def test_a_record_is_its_fields() -> None:
         ("fs", np.array([250.0, 250.0]), None),
     ],
 )
-def test_a_single_number_may_be_the_rate(name: str, value: Any, rate: float | None) -> None:  # noqa: ANN401
-    """Positive, finite, and called so; a single number is no column in any case."""
+def test_a_single_positive_number_named_as_a_rate_is_the_rate(
+    name: str,
+    value: Any,  # noqa: ANN401
+    rate: float | None,
+) -> None:
+    """A single number is never a column."""
     table = _of_arrays("npz", {name: value, "gyro": np.zeros(9)})
     columns, found = table.columns, table.rate_hz
     assert found == rate
     assert [column.name for column in columns] == ([name] if value.size > 1 else []) + ["gyro"]
 
 
-def test_a_single_text_is_no_rate() -> None:
-    """But a column of one."""
+def test_a_single_text_is_a_column() -> None:
     table = _of_arrays("npz", {"fs": np.array(["250"])})
     assert ([column.name for column in table.columns], table.rate_hz) == (["fs"], None)
 
 
-def test_names_of_navego() -> None:
-    """They have their units."""
+def test_the_names_of_navego_have_units() -> None:
     arrays = {"imu.fb": np.zeros((9, 3)), "imu.WB": np.zeros((9, 3)), "other": np.zeros(9)}
     assert [(column.name, column.unit) for column in _of_arrays("npz", arrays).columns[::3]] == [
         ("imu.fb.accelerometer[0]", "m/s^2"),
@@ -98,7 +100,7 @@ def test_names_of_navego() -> None:
 
 
 def nested(depth: int) -> Any:  # noqa: ANN401 - an array of structures
-    """Return so many structures in one another, around three numbers."""
+    """Return `depth` nested structures around three numbers."""
     value: Any = np.arange(3.0)
     for _ in range(depth):
         value = np.array((value,), dtype=[("a", object)])
@@ -106,7 +108,7 @@ def nested(depth: int) -> Any:  # noqa: ANN401 - an array of structures
 
 
 def test_structures_of_matlab_are_flattened() -> None:
-    """Eight deep at most; texts are left out."""
+    """The limit is eight levels; texts are omitted."""
     for depth, names in ((0, ["x"]), (8, ["x" + ".a" * 8]), (9, [])):
         found = Arrays({}, {})
         _flatten("x", nested(depth), found)
@@ -121,8 +123,8 @@ def test_structures_of_matlab_are_flattened() -> None:
     assert list(found.arrays) == ["cube", "flags"]
 
 
-def test_names_that_matlab_hides_are_no_columns(tmp_path: Path) -> None:
-    """Version and header of the file."""
+def test_hidden_names_of_matlab_are_not_columns(tmp_path: Path) -> None:
+    """They are the version and the header of the file."""
     path = tmp_path / "log.mat"
     scipy.io.savemat(path, {"gyro": np.zeros((9, 3)), "rate": 100.0})
     found = open_table(path)
@@ -131,8 +133,8 @@ def test_names_that_matlab_hides_are_no_columns(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("at", "gaps"), [(0, True), (399, True), (400, False)])
-def test_gaps_are_looked_for_in_the_first_rows(at: int, gaps: bool, tmp_path: Path) -> None:  # noqa: FBT001
-    """Four hundred of them: rows without a value are of other sensors then."""
+def test_gaps_are_searched_in_the_first_400_rows(at: int, gaps: bool, tmp_path: Path) -> None:  # noqa: FBT001
+    """Rows without a value there belong to other sensors."""
     values = np.random.default_rng(3).normal(size=(500, 3))
     values[at] = np.nan
     path = save(tmp_path / "log.npz", t_ns=np.arange(500) * 10_000_000, gyro=values)
@@ -140,23 +142,22 @@ def test_gaps_are_looked_for_in_the_first_rows(at: int, gaps: bool, tmp_path: Pa
     assert (found.n, found.clock.missing if at else 0) == (499 if gaps else 500, int(gaps and at > 0))
 
 
-def test_dates_are_ns() -> None:
-    """And durations."""
+def test_dates_and_durations_are_ns() -> None:
     for kind in "mM":
         column = _plain("v", np.array([5, 7], dtype=f"{kind}8[us]"))
         assert (column.values.tolist(), column.unit) == ([5000, 7000], "ns")
     assert _plain("v", np.zeros(5, dtype=np.int64)).unit is None
 
 
-def test_cells_are_those_of_a_text() -> None:
-    """Empty where there is none."""
+def test_cells_of_arrays_look_like_cells_of_a_text() -> None:
+    """A missing value is an empty cell."""
     assert cells_of(np.array([1.5, np.nan, 2.0])) == ["1.5", "", "2.0"]
     assert cells_of(np.array(["a", None], dtype=object)) == ["a", ""]
     assert cells_of(np.arange(3)) == ["0", "1", "2"]
 
 
-def test_lists_of_parquet_are_columns(tmp_path: Path) -> None:
-    """As many as the longest list has, 64 at most; structures by their fields."""
+def test_lists_of_parquet_become_columns(tmp_path: Path) -> None:
+    """Their number is that of the longest list, at most 64; structures have a column for each field."""
     path = tmp_path / "log.parquet"
     lists = [[1.0, 2.0], [3.0], [4.0, 5.0, 6.0]]
     fields = [{"x": 1.0}, {"x": 2.0}, {"x": None}]
@@ -176,8 +177,8 @@ def save(path: Path, **arrays: Any) -> Path:  # noqa: ANN401
     return path
 
 
-def test_a_sensor_in_two_tables_is_not_chosen(tmp_path: Path) -> None:
-    """Both tables are named, and either name reads one."""
+def test_a_sensor_in_two_tables_requires_a_choice(tmp_path: Path) -> None:
+    """The error names both tables, and each name works."""
     values = np.random.default_rng(1).normal(size=(60, 3))
     path = save(tmp_path / "log.npz", gyro=values, gyro_raw=values[:50], accel=values)
     options = ReadOptions(rate_hz=10.0, gyro_unit="rad/s", accel_unit="m/s^2")
@@ -193,8 +194,8 @@ def test_a_sensor_in_two_tables_is_not_chosen(tmp_path: Path) -> None:
         assert found.series[0].n == n
 
 
-def test_a_columns_text_counts_in_the_widest_table_then_the_longest(tmp_path: Path) -> None:
-    """The other arrays have no places in it."""
+def test_a_columns_text_refers_to_the_widest_and_longest_table(tmp_path: Path) -> None:
+    """The columns of other arrays have no numbers."""
     values = np.random.default_rng(1).normal(size=(50, 4))
     path = save(tmp_path / "log.npz", one=np.zeros(90), four=values, two=np.zeros((70, 2)))
     found = typed_table.read(path, ReadOptions(columns="g=1:4", rate_hz=10.0, gyro_unit="rad/s"))
@@ -205,8 +206,8 @@ def test_a_columns_text_counts_in_the_widest_table_then_the_longest(tmp_path: Pa
     np.testing.assert_array_equal([series.samples for series in found.series], longer.T[1:])
 
 
-def test_tables_without_a_sensor_are_passed_over(tmp_path: Path) -> None:
-    """Unless none has one: then the widest says what it lacks."""
+def test_tables_without_a_sensor_are_skipped(tmp_path: Path) -> None:
+    """If none has a sensor, the error describes the widest table."""
     values = np.random.default_rng(1).normal(size=(50, 3))
     path = save(tmp_path / "log.npz", other=np.zeros(90), gyro=values)
     found = typed_table.read(path, ReadOptions(rate_hz=10.0, gyro_unit="rad/s"))
@@ -217,7 +218,7 @@ def test_tables_without_a_sensor_are_passed_over(tmp_path: Path) -> None:
 
 
 def test_numbers_as_texts_are_read(tmp_path: Path) -> None:
-    """Other texts in the columns of a sensor are refused."""
+    """Texts that are not numbers are refused in the columns of a sensor."""
     values = np.random.default_rng(1).normal(size=50)
     columns = {
         "t_ns": np.arange(50) * 10_000_000,

@@ -1,4 +1,4 @@
-"""ArduPilot's logs: what was written comes back in SI, each IMU by its name, and damage is said."""
+"""ArduPilot logs: samples in SI units, the choice of an IMU, and damage."""
 
 import shutil
 import subprocess
@@ -14,8 +14,8 @@ from imucal.readers import describe, read
 from tests.readers.ulog.ardupilot_logs import N, truth, write_dataflash, write_telemetry
 
 
-def test_the_imu_of_a_dataflash_log(tmp_path: Path) -> None:
-    """Bit by bit, in SI, with the temperature, on the board's clock."""
+def test_the_samples_of_a_dataflash_log_are_exact(tmp_path: Path) -> None:
+    """Samples are in SI units, with the temperature, on the clock of the board."""
     recording = read(write_dataflash(tmp_path / "00000001.BIN"))
     for sensor, values in zip(("gyroscope", "accelerometer"), truth(), strict=True):
         for index, axis in enumerate("xyz"):
@@ -29,8 +29,8 @@ def test_the_imu_of_a_dataflash_log(tmp_path: Path) -> None:
     npt.assert_array_equal(recording.temperature.samples, 31.5)
 
 
-def test_several_imus_are_for_the_user_to_choose(tmp_path: Path) -> None:
-    """The name that the message gives is typed."""
+def test_several_imus_require_a_choice(tmp_path: Path) -> None:
+    """The names in the error can be used as topics."""
     path = write_dataflash(tmp_path / "log.bin", instances=2)
     with pytest.raises(ChoiceError, match=r"2 topics carry IMU samples; choose one .*\n  IMU:0 .*\n  IMU:1 "):
         read(path)
@@ -39,8 +39,8 @@ def test_several_imus_are_for_the_user_to_choose(tmp_path: Path) -> None:
     )
 
 
-def test_a_batch_log_has_each_sensor_at_its_own_rate(tmp_path: Path) -> None:
-    """By the time of sampling, not that of logging."""
+def test_each_sensor_of_a_batch_log_has_its_own_rate(tmp_path: Path) -> None:
+    """The clock uses the time of sampling, not the time of logging."""
     recording = read(write_dataflash(tmp_path / "log.bin", batch=True))
     gyro, accel = recording.axis("gyroscope", "x"), recording.axis("accelerometer", "z")
     assert (gyro.n, accel.n) == (N, N // 2)
@@ -49,7 +49,7 @@ def test_a_batch_log_has_each_sensor_at_its_own_rate(tmp_path: Path) -> None:
     npt.assert_array_equal(accel.samples, truth()[1][::2, 2])
 
 
-def test_a_damaged_dataflash_log_is_read_as_far_as_it_is_whole(tmp_path: Path) -> None:
+def test_a_damaged_dataflash_log_is_read_up_to_the_damage(tmp_path: Path) -> None:
     data = bytearray(write_dataflash(tmp_path / "whole.bin").read_bytes())
     cut, zeroed = tmp_path / "cut.bin", tmp_path / "zeroed.bin"
     cut.write_bytes(data[:6000])
@@ -63,8 +63,8 @@ def test_a_damaged_dataflash_log_is_read_as_far_as_it_is_whole(tmp_path: Path) -
     assert [finding.code for finding in recording.findings][:1] == ["damaged"]
 
 
-def test_columns_of_a_message(tmp_path: Path) -> None:
-    """By name, as in any topic; what is not there is listed."""
+def test_columns_of_a_message_can_be_named(tmp_path: Path) -> None:
+    """The error for a missing column lists the existing ones."""
     path = write_dataflash(tmp_path / "log.bin")
     recording = read(path, columns="g=GyrY+GyrX+GyrZ")
     npt.assert_array_equal(recording.axis("gyroscope", "x").samples, truth()[0][:, 1])
@@ -75,8 +75,8 @@ def test_columns_of_a_message(tmp_path: Path) -> None:
         read(path, columns="g=wx+wy+wz")
 
 
-def test_telemetry_has_a_way_out(tmp_path: Path) -> None:
-    """The command in the message, typed, writes a log that reads in the units that it names."""
+def test_the_command_in_the_error_converts_telemetry(tmp_path: Path) -> None:
+    """The written log is read with the units in the error."""
     path = write_telemetry(tmp_path / "log.tlog")
     for action in (read, describe):
         with pytest.raises(ReadError) as caught:
@@ -97,8 +97,10 @@ def test_telemetry_has_a_way_out(tmp_path: Path) -> None:
     assert recording.series[0].rate_hz == pytest.approx(100)
 
 
-def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The message says what to install; `describe` says it too."""
+def test_without_the_extra_the_error_explains_the_installation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`read` and `describe` raise the same error."""
     path = write_dataflash(tmp_path / "log.bin")
     monkeypatch.setitem(sys.modules, "pymavlink", None)
     for action in (read, describe):
@@ -109,7 +111,7 @@ def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
         )
 
 
-def test_other_binaries_that_end_so(tmp_path: Path) -> None:
+def test_other_files_with_the_extension_bin_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "log.bin"
     path.write_bytes(bytes(range(256)))
     with pytest.raises(ReadError) as caught:

@@ -89,7 +89,7 @@ def test_duration_and_rate(
     ],
 )
 def test_names(several: bool, name: str, answers: set[str], tmp_path: Path) -> None:  # noqa: FBT001
-    """An instance alone needs no number."""
+    """The number is optional if there is only one instance."""
     stamps = every(1000, 50).tolist()
     messages = {("sensor_gyro", multi): stamps for multi in ([1, 2] if several else [2])}
     path = written(tmp_path / "log.ulg", messages)
