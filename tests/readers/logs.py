@@ -1,4 +1,4 @@
-"""Small logs in every format, written by the packages that others use, and the truth in them."""
+"""Small logs in every format, written by other packages, and their true samples."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -45,7 +45,7 @@ class Samples:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Message:
-    """One message to write: where, when, what, as bytes."""
+    """A message to write: topic, type, log time and bytes."""
 
     topic: str
     type: str
@@ -65,7 +65,7 @@ def samples(n: int = 200, *, rate: float = 100.0, seed: int = 7) -> Samples:
 
 
 def store(*, ros1: bool = False, **more: str) -> Any:  # noqa: ANN401 - rosbags' own type is long
-    """Return the message types of a ROS version, and `more` of them: name -> definition."""
+    """Return the message types of a ROS version, and the additional types of `more`: name -> definition."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     types = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
@@ -107,7 +107,7 @@ def imu_messages(
     little_endian: bool = True,
     types: Any = None,  # noqa: ANN401
 ) -> list[Message]:
-    """Return the samples as Imu messages; the frame ids take turns."""
+    """Return the samples as Imu messages with alternating frame ids."""
     types = types or store(ros1=ros1)
     messages = []
     for row, (stamp, log) in enumerate(zip(truth.stamps.tolist(), truth.log.tolist(), strict=True)):
@@ -133,7 +133,7 @@ def write_mcap(
     definitions: dict[str, tuple[str, str]] | None = None,
     **options: Any,  # noqa: ANN401
 ) -> Path:
-    """Write an MCAP file; `definitions` is type -> encoding and text where the store has none."""
+    """Write an MCAP file; `definitions` has type -> encoding and text for types that the store lacks."""
     from mcap.writer import CompressionType, Writer
 
     types = types or store(ros1=ros1)
@@ -234,7 +234,7 @@ def _db3(compression: str, *, mcap: bool = False) -> Callable[[Path, Samples], P
     return write
 
 
-#: Name -> writes a log of some samples into a folder, and returns its path.
+#: Name -> function that writes a log of some samples into a folder and returns its path.
 CONTAINERS: dict[str, Callable[[Path, Samples], Path]] = {
     "mcap-zstd": _mcap("zstd"),
     "mcap-lz4": _mcap("lz4"),

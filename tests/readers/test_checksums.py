@@ -1,4 +1,4 @@
-"""Which bytes and which part of a log a report is of."""
+"""Checksums and ranges: a report identifies the bytes and the part of the log that were used."""
 
 import gzip
 import hashlib
@@ -18,12 +18,12 @@ from imucal.report.json_file import schema
 from tests.cli.run import run
 from tests.readers.logs import START, imu_messages, samples, write_db3, write_mcap
 
-#: A report as JSON on standard output, and no other file.
+#: A report as JSON on standard output, without other files.
 QUICK = ("--model", "N", "--segments", "1", "--force", "-q", "--json", "--no-report")
 
 
 def b2sum(path: Path) -> str:
-    """Return what ``b2sum`` prints."""
+    """Return the output of ``b2sum``."""
     return hashlib.blake2b(path.read_bytes()).hexdigest()
 
 
@@ -31,7 +31,7 @@ def b2sum(path: Path) -> str:
 def test_every_file_has_its_size_and_checksum(
     threads: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of a file, of all files in the folder of a bag, and of several logs; in a thread or without."""
+    """Cases: a file, all files in the folder of a bag, and several logs; with and without a thread."""
     monkeypatch.setenv("IMUCAL_THREADS", threads)
     one = write_mcap(tmp_path / "log_0.mcap", imu_messages(samples(300)))
     bag = write_db3(tmp_path / "bag", imu_messages(samples(300)))
@@ -43,8 +43,8 @@ def test_every_file_has_its_size_and_checksum(
     assert read(one).source.files == ()
 
 
-def test_the_published_checksum(tmp_path: Path) -> None:
-    """RFC 7693, Appendix A: BLAKE2b-512 of the three bytes abc."""
+def test_the_checksum_has_the_published_value(tmp_path: Path) -> None:
+    """RFC 7693, Appendix A, contains BLAKE2b-512 of the three bytes abc."""
     path = tmp_path / "abc.csv"
     path.write_bytes(b"abc")
     with Checksums([path]) as sums:
@@ -56,8 +56,8 @@ def test_the_published_checksum(tmp_path: Path) -> None:
     )
 
 
-def test_what_can_not_be_read_has_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file that went, and standard input; a block that is left stops the work."""
+def test_an_unreadable_file_has_no_checksum(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cases: a deleted file, and standard input. An exception in the block stops the work."""
     with Checksums([tmp_path / "gone.csv", Path("-")]) as sums:
         assert sums.files() == (LogFileInfo(path=str(tmp_path / "gone.csv"), size_bytes=0, blake2b=None),)
     path = tmp_path / "large.csv"
@@ -70,7 +70,7 @@ def test_what_can_not_be_read_has_none(tmp_path: Path, monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize("packed", ["plain", "gzip", "cut", "zeros behind"])
 def test_standard_input_has_size_and_checksum(packed: str, tmp_path: Path) -> None:
-    """Of all its bytes as they came, packed or not, also where reading ends before them."""
+    """The checksum covers all bytes as received, compressed or not, even if reading ends early."""
     values = np.random.default_rng(5).normal(0, 1e-3, 3000).tolist()
     text = "\n".join(["t_s,gx_rads", *(f"{i / 100},{x!r}" for i, x in enumerate(values)), ""]).encode()
     whole = gzip.compress(text)
@@ -88,7 +88,7 @@ def test_standard_input_has_size_and_checksum(packed: str, tmp_path: Path) -> No
 
 
 def test_a_report_lists_the_files_read(tmp_path: Path) -> None:
-    """The file as `b2sum` sees it, and the part that --skip and --take leave, by time and by stamps."""
+    """The file has the checksum of `b2sum`; --skip and --take give the used part in s and as stamps."""
     path = write_mcap(tmp_path / "log.mcap", imu_messages(samples(3000)))
     done = run("fit", "log.mcap", "--skip", "5s", "--take", "20s", *QUICK, cwd=tmp_path)
     assert done.returncode == 0
@@ -107,8 +107,8 @@ def test_a_report_lists_the_files_read(tmp_path: Path) -> None:
     assert (source.read.from_s, source.read.end_ns) == (5.0, START + 25 * 10**9)
 
 
-def test_the_range_of_a_recording(tmp_path: Path) -> None:
-    """Of all of it, of a part of a part, and without stamps."""
+def test_the_range_of_a_recording_is_reported(tmp_path: Path) -> None:
+    """Cases: the complete recording, a part of a part, and a recording without stamps."""
     recording = read(write_mcap(tmp_path / "log.mcap", imu_messages(samples(3000))))
     settings = imucal.Settings(model="N", segments=1)
     report = imucal.characterize(recording, settings)

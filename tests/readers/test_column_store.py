@@ -1,4 +1,4 @@
-"""Columns in memory and in a temporary file hold the same, and a recording says nothing twice."""
+"""Columns in memory and in a temporary file are equal, and a recording contains no duplicates."""
 
 import numpy as np
 import numpy.testing as npt
@@ -15,8 +15,8 @@ LIMITS = [1 << 30, 800]
 
 
 @pytest.mark.parametrize("limit", LIMITS)
-def test_a_growing_column_turns_into_floats_with_all_before(limit: int) -> None:
-    """Integers that are in the file already too."""
+def test_a_growing_column_becomes_float_with_its_earlier_integers(limit: int) -> None:
+    """Integers that are already in the file are converted too."""
     column = GrowingColumn(np.int64, limit=limit)
     blocks = [np.arange(0, 150), np.arange(150, 200), np.linspace(0.5, 9.5, 70), np.arange(5)]
     for block in blocks:
@@ -28,7 +28,7 @@ def test_a_growing_column_turns_into_floats_with_all_before(limit: int) -> None:
 
 @pytest.mark.parametrize("limit", LIMITS)
 def test_integers_stay_integers(limit: int) -> None:
-    """Stamps in ns have more digits than a float."""
+    """A float has too few digits for stamps in ns."""
     column = GrowingColumn(np.int64, limit=limit)
     stamps = 1_700_000_000_000_000_001 + np.arange(1000)
     for block in np.split(stamps, 4):
@@ -36,8 +36,8 @@ def test_integers_stay_integers(limit: int) -> None:
     npt.assert_array_equal(column.take(), stamps)
 
 
-def test_a_recording_keeps_order_scale_and_each_finding_once() -> None:
-    """Samples are chosen, then scaled; of two temperatures the first is kept."""
+def test_a_recording_applies_order_and_scale_and_removes_duplicate_findings() -> None:
+    """Samples are selected before they are scaled, and the first of two temperatures is kept."""
     builder = RecordingBuilder(path="log", format="csv", decisions=[("time", "stamps")])
     clock, order = Clock.even(3, 100.0), np.array([2, 0, 1])
     samples = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]])

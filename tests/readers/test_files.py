@@ -1,4 +1,4 @@
-"""Bytes of a file at any place: all of them, or an error that says where they end."""
+"""Reading parts of a file: all requested bytes, or an error with the position of the end."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,7 +27,7 @@ def file(tmp_path: Path) -> Iterator[LogFile]:
 
 
 def test_any_part_of_a_file_is_read(file: LogFile) -> None:
-    """Up to its last byte, and nothing of it too."""
+    """The part can end at the last byte, or be empty."""
     assert file.size == 20
     assert file.read(0, 20) == bytes(range(20))
     assert file.read(18, 2) == b"\x12\x13"
@@ -43,7 +43,7 @@ def test_reading_beyond_the_end_is_reported(file: LogFile, position: int, size: 
 
 
 def test_truncation_during_reading_is_reported(file: LogFile, monkeypatch: pytest.MonkeyPatch) -> None:
-    """At the byte where it ends; an error of the disk stops the program."""
+    """The error contains the position of the end; an error of the disk stops the program."""
     file.path.write_bytes(bytes(range(7)))
     with pytest.raises(DamagedError, match=r"^the file ended at byte 7 during reading$") as caught:
         file.read(2, 11)

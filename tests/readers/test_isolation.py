@@ -1,4 +1,4 @@
-"""Parsers in a child process: they answer, or they are ended; nothing of theirs reaches the caller."""
+"""Parsers in a child process: they answer or are stopped, and can't damage the caller."""
 
 import os
 import signal
@@ -30,8 +30,8 @@ def call(file: Path, function: Callable[..., Any], *args: Any) -> Any:  # noqa: 
     return isolated(file, function, "test")(*args)
 
 
-def test_answers_are_those_of_the_function(file: Path) -> None:
-    """Arrays of any size; one child for all."""
+def test_a_child_returns_the_result_of_the_function(file: Path) -> None:
+    """Arrays can have any size, and all calls use one child."""
     assert call(file, len, b"abc") == 3
     np.testing.assert_array_equal(call(file, np.arange, 3_000_000), np.arange(3_000_000))
     child = call(file, os.getpid)
@@ -39,8 +39,8 @@ def test_answers_are_those_of_the_function(file: Path) -> None:
     assert call(file, os.getpid) == child
 
 
-def test_what_is_raised_is_a_read_error(file: Path) -> None:
-    """With the name of the file, the kind, and one line of why; the child lives on."""
+def test_an_exception_in_the_child_is_a_read_error(file: Path) -> None:
+    """The error contains the file, the format and a reason of one line. The child keeps running."""
     child = call(file, os.getpid)
     with pytest.raises(ReadError) as caught:
         call(file, int, "no\nnumber")
@@ -52,8 +52,8 @@ def test_what_is_raised_is_a_read_error(file: Path) -> None:
     assert call(file, os.getpid) == child
 
 
-def test_what_never_ends_is_ended(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """After the time that a file of its size may take; the next question finds a new child."""
+def test_an_endless_call_is_stopped(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The time limit depends on the file's size. The next call starts a new child."""
     monkeypatch.setattr(isolation, "PATIENCE", 0.5)
     call(file, len, b"")
     start = time.perf_counter()
@@ -64,31 +64,31 @@ def test_what_never_ends_is_ended(file: Path, monkeypatch: pytest.MonkeyPatch) -
     assert call(file, len, b"ab") == 2
 
 
-def test_what_ends_the_process_is_a_read_error(file: Path) -> None:
-    """As an allocation that fails does in polars."""
+def test_a_crash_of_the_child_is_a_read_error(file: Path) -> None:
+    """A failed allocation in polars, for example, ends the process."""
     with pytest.raises(ReadError, match="reading it crashes, or needs too much memory"):
         call(file, os.abort)
     assert call(file, len, b"ab") == 2
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit of memory")
-def test_memory_has_a_bound(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a file claims is not believed beyond it."""
+def test_the_memory_of_the_child_is_limited(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file can declare any size."""
     monkeypatch.setattr(isolation, "memory_limit", lambda: 1_000_000)
     with pytest.raises(ReadError, match="not a readable test file: MemoryError"):
         call(file, bytes, 1 << 36)
 
 
-def test_prints_do_not_reach_the_answers(file: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """Nor the caller's own streams."""
+def test_prints_in_the_child_are_discarded(file: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """They must not mix with the results or appear in the caller's streams."""
     call(file, os.system, "echo printed; echo said >&2")
     call(file, print, "printed")
     assert call(file, len, b"ab") == 2
     assert capfd.readouterr() == ("", "")
 
 
-def test_an_interrupted_question_leaves_no_answer_behind(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The next question gets its own answer."""
+def test_an_interrupted_call_leaves_no_result_behind(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The next call gets its own result."""
     assert call(file, len, b"abc") == 3
 
     def interrupted(stream: object) -> bytes:
@@ -102,8 +102,8 @@ def test_an_interrupted_question_leaves_no_answer_behind(file: Path, monkeypatch
     assert call(file, len, b"ab") == 2
 
 
-def test_the_child_leaves_with_its_parent(file: Path) -> None:
-    """Even where the parent is killed."""
+def test_the_child_ends_with_its_parent(file: Path) -> None:
+    """The child ends even if the parent is killed."""
     script = (
         "import os, pathlib, signal, sys; from imucal.readers.isolation import isolated\n"
         "print(isolated(pathlib.Path(sys.argv[1]), os.getpid, 'test')(), flush=True)\n"
@@ -125,13 +125,13 @@ def _runs(process: int) -> bool:
         os.kill(process, 0)
     except ProcessLookupError:
         return False
-    # One that has ended and whose exit code nobody took runs no more.
+    # A zombie process has ended but still exists.
     status = Path(f"/proc/{process}/stat")
     return not status.exists() or status.read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
 
 
-def test_a_ulog_on_which_pyulog_hangs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Definitions full of zeros: pyulog seeks back at the end of the file, for ever."""
+def test_a_ulog_that_hangs_pyulog_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The definitions are full of zeros, so pyulog seeks back at the end of the file forever."""
     path = two_sensors(tmp_path / "flight.ulg")
     data = bytearray(path.read_bytes())
     data[296:596] = bytes(300)

@@ -1,4 +1,4 @@
-"""A few bytes that unpack to very many: nothing reads, or holds, more than it needs."""
+"""Small files that unpack to very large data: only the necessary part is read or kept in memory."""
 
 import gzip
 import json
@@ -25,7 +25,7 @@ NAMES = HEADER.split(",")
 
 
 def table(rows: int = 3000) -> bytes:
-    """Return a CSV of about 120 bytes a row."""
+    """Return a CSV of about 120 bytes per row."""
     lines = [f"{t},{','.join(map(repr, row))}" for t, row in zip(TIMES, TRUTH.all.tolist(), strict=True)]
     return "\n".join([HEADER, *lines[:rows], ""]).encode()
 
@@ -36,10 +36,10 @@ def arrays() -> dict[str, np.ndarray[tuple[int, ...], np.dtype[np.float64]]]:
 
 
 @pytest.mark.parametrize("packed", ["gz", "zip"])
-def test_a_text_is_described_by_its_head(
+def test_the_head_describes_a_large_compressed_text(
     packed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where it is longer, unpacked, than is read without being asked; its rows are not counted."""
+    """If the unpacked text exceeds a limit, its rows are not counted."""
     path = tmp_path / f"log.csv.{packed}"
     if packed == "gz":
         path.write_bytes(gzip.compress(table()))
@@ -59,8 +59,8 @@ def test_a_text_is_described_by_its_head(
     assert read(path).series[0].n == 3000
 
 
-def test_no_more_of_a_text_is_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Twenty times what is wanted costs no more than a little above it."""
+def test_unpacking_of_a_text_stops_at_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The text is twenty times longer than the limit."""
     path = tmp_path / "log.csv.gz"
     path.write_bytes(gzip.compress(table() + b"31.0,0,0,0,0,0,9.8\n" * 1_000_000, compresslevel=1))
     monkeypatch.setattr(text_table, "_SMALL", 1_000_000)
@@ -75,8 +75,8 @@ def test_no_more_of_a_text_is_unpacked(tmp_path: Path, monkeypatch: pytest.Monke
     assert 1_000_000 < max(source.passed for source in taken) < 12_000_000
 
 
-def test_arrays_above_the_limit_lie_in_temporary_files(tmp_path: Path) -> None:
-    """The samples of a recording are the same there."""
+def test_arrays_above_the_limit_are_in_temporary_files(tmp_path: Path) -> None:
+    """The samples of the recording are equal."""
     np.savez_compressed(tmp_path / "log.npz", **arrays())  # type: ignore[arg-type]
     held, mapped = (read(tmp_path / "log.npz", memory_limit=limit) for limit in (None, 1000))
     for recording in (held, mapped):
@@ -87,8 +87,8 @@ def test_arrays_above_the_limit_lie_in_temporary_files(tmp_path: Path) -> None:
     assert isinstance(base.obj if isinstance(base, memoryview) else base, mmap.mmap)
 
 
-def test_a_member_that_claims_too_much_is_refused(tmp_path: Path) -> None:
-    """Before memory is taken for it."""
+def test_a_member_with_a_huge_declared_size_is_refused(tmp_path: Path) -> None:
+    """The size is checked before memory is allocated."""
     path = tmp_path / "log.npz"
     with zipfile.ZipFile(path, "w") as archive:
         header = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }"
@@ -101,7 +101,7 @@ def test_a_member_that_claims_too_much_is_refused(tmp_path: Path) -> None:
 def test_info_reads_no_samples_of_a_highly_compressed_log(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It says so, and --gaps does."""
+    """The output mentions that --gaps reads them."""
     np.savez_compressed(tmp_path / "log.npz", **arrays())  # type: ignore[arg-type]
     assert "no gaps" in run("info", "log.npz", cwd=tmp_path).stdout
     monkeypatch.setattr("imucal.cli.info._SMALL", 150_000)
@@ -113,10 +113,10 @@ def test_info_reads_no_samples_of_a_highly_compressed_log(
 
 
 @pytest.mark.parametrize("name", ["log.mat", "log.h5", "log.parquet"])
-def test_what_unpacks_to_more_than_memory_is_refused(
+def test_a_file_that_unpacks_to_more_than_memory_is_refused(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By the limit of the child process, which then reads the next file."""
+    """The limit applies to the child process, which can then read the next file."""
     import h5py
     import polars as pl
     import scipy.io
@@ -144,7 +144,7 @@ def test_what_unpacks_to_more_than_memory_is_refused(
 def test_large_arrays_of_an_npz_file_are_in_temporary_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Packed or not, in either order; a damaged member is refused by its checksum."""
+    """Compressed and uncompressed files work, in either memory order. A damaged member fails its checksum."""
     matrix = np.asfortranarray(TRUTH.all)
     for save in (np.savez, np.savez_compressed):
         save(tmp_path / "log.npz", m=matrix, t=TIMES, one=np.float64(7))

@@ -1,4 +1,4 @@
-"""What went wrong at the edges: names, widths, limits of memory, accelerations without gravity."""
+"""Rare problems: long names, wide tables, memory limits, accelerations without gravity."""
 
 import re
 import shutil
@@ -22,14 +22,14 @@ SI = "gx (rad/s),gy (rad/s),gz (rad/s),ax (m/s^2),ay (m/s^2),az (m/s^2)"
 
 
 @pytest.mark.parametrize("action", [read, describe])
-def test_a_name_that_is_too_long_for_a_file(action: object, tmp_path: Path) -> None:
+def test_a_file_name_that_is_too_long_is_refused(action: object, tmp_path: Path) -> None:
     path = tmp_path / ("a" * 300 + ".csv")
     with pytest.raises(ReadError, match="can't be opened: File name too long"):
         action(path)  # type: ignore[operator]
 
 
-def test_a_hundred_thousand_columns(tmp_path: Path) -> None:
-    """The command in the message, typed, writes the columns that are read."""
+def test_the_command_for_a_table_that_is_too_wide_works(tmp_path: Path) -> None:
+    """The command in the error writes a file with the necessary columns, which is read."""
     path, filling = tmp_path / "wide log.csv", ",0" * 100_000
     rows = lines(
         f"t_s,{SI}", [i / 100 for i in range(N)], *xyz(truth().gyro), *xyz(truth().accel)
@@ -46,8 +46,8 @@ def test_a_hundred_thousand_columns(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of memory are of Unix")
-def test_a_hard_limit_of_memory_is_kept(tmp_path: Path) -> None:
-    """Under `ulimit -v`, as batch schedulers set it, packages of other formats read in their child."""
+def test_a_hard_memory_limit_is_respected(tmp_path: Path) -> None:
+    """Batch schedulers set `ulimit -v`; the child process for other packages must still start."""
     columns = {"t_s": np.arange(N) / 100}
     for sensor in ("gyro", "accel"):
         columns |= {f"{sensor}_{axis}": truth().accel[:, i] for i, axis in enumerate("xyz")}
@@ -72,14 +72,14 @@ def test_a_hard_limit_of_memory_is_kept(tmp_path: Path) -> None:
 
 
 def carried(mean: float) -> np.ndarray:
-    """Return accelerations of a median size of one about a mean, of a phone in a walker's hand."""
+    """Return accelerations with median size 1 and a given mean, as of a phone in a walker's hand."""
     rng = np.random.default_rng(8)
     rows = rng.normal(size=(5000, 3)) * np.sqrt((1 - mean**2) / 3) + np.array([0, 0, mean])
     return np.asarray(rows / np.median(np.linalg.norm(rows, axis=1)))
 
 
-def test_accelerations_without_gravity_are_not_taken_for_g() -> None:
-    """As large as gravity in g, but their mean is not; where it is, the phone was only carried."""
+def test_accelerations_without_gravity_are_not_in_g() -> None:
+    """Their size equals gravity in g, but their mean does not; a carried phone has the right mean."""
     assert infer_accel_unit(carried(0.9)).unit == "g"
     found = infer_accel_unit(carried(0.1))
     assert found.unit is None

@@ -1,7 +1,7 @@
-"""Damaged tables with types and ULogs: whatever happens to a file, reading it ends in samples or a message.
+"""Damaged typed tables and ULogs are read or refused with a message.
 
-Nothing in NPY and MAT guards a value, so that a changed one is read as it stands; what is checked is that no
-foreign exception, no print and no endless loop comes out.
+NPY and MAT have no checksums, so a changed value is read as it is. The test checks that reading raises no
+foreign exception, prints nothing and ends.
 """
 
 import time
@@ -24,9 +24,9 @@ from tests.readers.ulog.ardupilot_logs import write_dataflash
 from tests.readers.ulog.test_ulog import two_sensors
 from tests.slow_cases import first_by_default
 
-#: Cases of each format by each change, in parts; 1024 in all.
+#: Cases of each format for each change, in parts; 1024 in total.
 CASES, PARTS = 16, 4
-#: No case may take longer, in s; the usual one takes 10 ms, the first of a child one second.
+#: Time limit of a case in s; a usual case takes 10 ms, the first one of a child process one second.
 PATIENCE = 20.0
 
 N = 60
@@ -54,7 +54,7 @@ def write_parquet(compression: Any) -> Callable[[Path], object]:  # noqa: ANN401
 
 
 def nested() -> dict[str, object]:
-    """Return the columns as a structure of MATLAB."""
+    """Return the columns as a MATLAB structure."""
     found = columns()
     both = {kind: np.stack([found[f"{kind}_{axis}"] for axis in "xyz"], axis=1) for kind in ("gyro", "accel")}
     return {"imu": {"t": found["timestamp_ns"] * 1e-9, **both, "freq": 100.0}}
@@ -84,7 +84,7 @@ OPTIONS: dict[str, Any] = {"columns": "t=0,g=1:4,a=4:7", "gyro_unit": "rad/s", "
 @pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
 @pytest.mark.parametrize("name", FORMATS)
 @pytest.mark.parametrize("part", first_by_default(range(PARTS), 1))
-def test_survives(
+def test_a_damaged_table_is_read_or_refused_with_a_message(
     name: str,
     change: Callable[[bytearray, np.random.Generator], None],
     tmp_path: Path,
@@ -92,7 +92,7 @@ def test_survives(
     *,
     part: int,
 ) -> None:
-    """No exception but imucal's own, nothing printed, no hang; a message names the file."""
+    """The error names the file, nothing is printed, and reading ends."""
     whole = tmp_path / name
     FORMATS[name](whole)
     original = whole.read_bytes()
@@ -116,7 +116,7 @@ def test_survives(
 
 
 def test_pyulog_reads_the_written_samples(tmp_path: Path) -> None:
-    """Message by message, nothing damaged, nothing dropped."""
+    """Every message is read, and nothing is damaged or dropped."""
     content = ulog_content(two_sensors(tmp_path / "flight.ulg"))
     found = [(*instance, columns["x"].size) for instance, columns in content.messages.items()]
     assert found == [("sensor_accel", 0, 200), ("sensor_gyro", 0, 400)]

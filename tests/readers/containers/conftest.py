@@ -1,4 +1,4 @@
-"""Files of a few bytes."""
+"""Fixtures that write files of a few bytes."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path

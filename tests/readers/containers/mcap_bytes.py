@@ -1,4 +1,4 @@
-"""Records of an MCAP file, put together byte by byte: what is wrong in one is wrong on purpose."""
+"""Records of an MCAP file, built byte by byte, so that tests can damage them on purpose."""
 
 import struct
 
@@ -6,7 +6,7 @@ __all__ = ["channel", "chunk", "index", "message", "record", "schema", "text"]
 
 
 def text(value: bytes) -> bytes:
-    """Return a string with its length in front."""
+    """Return a string after its length."""
     return struct.pack("<I", len(value)) + value
 
 
@@ -26,16 +26,16 @@ def channel(key: int, topic: bytes = b"/imu", of_schema: int = 1) -> bytes:
 
 
 def message(key: int, time: int, data: bytes = b"") -> bytes:
-    """Return a Message record, of 31 bytes and its data."""
+    """Return a Message record of 31 bytes plus its data."""
     return record(5, struct.pack("<HIQQ", key, 0, time, time) + data)
 
 
 def chunk(raw: bytes) -> bytes:
-    """Return a Chunk record without compression and checksum, of 49 bytes and what it holds."""
+    """Return a Chunk record without compression and checksum, of 49 bytes plus its content."""
     head = struct.pack("<QQQI", 0, 0, len(raw), 0) + text(b"")
     return record(6, head + struct.pack("<Q", len(raw)) + raw)
 
 
 def index(key: int, *entries: tuple[int, int]) -> bytes:
-    """Return a MessageIndex record of times and places in the chunk, of 15 bytes and 16 for each."""
+    """Return a MessageIndex record of times and offsets in the chunk, of 15 bytes plus 16 per entry."""
     return record(7, struct.pack("<H", key) + text(b"".join(struct.pack("<QQ", *entry) for entry in entries)))

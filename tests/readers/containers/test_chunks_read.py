@@ -1,4 +1,4 @@
-"""A log with cameras: chunks that hold no IMU message are not read, let alone unpacked."""
+"""A log with cameras: chunks without IMU messages are neither read nor unpacked."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,14 +13,14 @@ from imucal.readers.files import LogFile
 from tests.readers.logs import Message, imu_messages, samples, store, write_bag, write_mcap
 
 TRUTH = samples(200)
-#: Larger than a chunk of the writers, and not to be compressed.
+#: Larger than a chunk of the writers, and not compressible.
 PICTURE = np.random.default_rng(20261122).integers(0, 256, 20_000, dtype=np.uint8)
 #: IMU messages between two pictures of each of three cameras.
 BETWEEN = 20
 
 
 def with_cameras(*, ros1: bool) -> list[Message]:
-    """Return IMU messages with pictures among them, three at a time."""
+    """Return IMU messages with three pictures at a time in between."""
     types: Any = store(ros1=ros1)
     kind = "std_msgs/msg/UInt8MultiArray"
     dimensions = types.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
@@ -52,7 +52,7 @@ def test_a_chunk_without_imu_messages_is_not_read(
     ros1: bool,  # noqa: FBT001
     tmp_path: Path,
 ) -> None:
-    """Of each three pictures at most one shares a chunk with IMU messages; every sample is there."""
+    """At most one of three pictures shares a chunk with IMU messages, and every sample is read."""
     path = write(tmp_path, with_cameras(ros1=ros1))
     sizes: list[tuple[int, int]] = []
     read_bytes = LogFile.read
@@ -68,5 +68,5 @@ def test_a_chunk_without_imu_messages_is_not_read(
     for first, last in sizes:
         read_of[first:last] = True
     pictures = 3 * (TRUTH.stamps.size // BETWEEN) * PICTURE.size
-    # A third of them follows IMU messages into their chunk, and is unpacked with them.
+    # A third of the pictures is in a chunk with IMU messages and must be unpacked.
     assert pictures / 6 < np.count_nonzero(read_of) < pictures / 2

@@ -1,4 +1,4 @@
-"""Every container gives the samples that were written, bit by bit, and says what it holds."""
+"""Every container gives the written samples, bit by bit, and a description of its content."""
 
 from pathlib import Path
 
@@ -11,8 +11,8 @@ from tests.readers.logs import CONTAINERS, TOPIC, samples
 
 
 @pytest.mark.parametrize("name", CONTAINERS)
-def test_reads_the_written_messages(name: str, tmp_path: Path) -> None:
-    """Samples are bit-equal, the rate and the start are those of the stamps, nothing is found wrong."""
+def test_the_written_messages_are_read(name: str, tmp_path: Path) -> None:
+    """Samples are bit-equal, rate and start are those of the stamps, and there are no findings."""
     truth = samples(300)
     recording = read(CONTAINERS[name](tmp_path, truth))
     assert [series.name for series in recording.series] == [
@@ -29,8 +29,8 @@ def test_reads_the_written_messages(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", CONTAINERS)
-def test_describes_a_log(name: str, tmp_path: Path) -> None:
-    """Topic, type, count, rate, duration and sensors, from the index."""
+def test_a_log_is_described_from_its_index(name: str, tmp_path: Path) -> None:
+    """The description has topic, type, count, rate, duration and sensors."""
     contents = describe(CONTAINERS[name](tmp_path, samples(300)))
     (topic,) = contents.topics
     assert topic.name == TOPIC
@@ -43,8 +43,8 @@ def test_describes_a_log(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["mcap-zstd", "bag-lz4", "db3"])
-def test_a_temporary_file_gives_the_same(name: str, tmp_path: Path) -> None:
-    """Above the memory limit samples live in a temporary file."""
+def test_samples_in_a_temporary_file_are_equal(name: str, tmp_path: Path) -> None:
+    """Above the memory limit, samples are in a temporary file."""
     truth = samples(300)
     recording = read(CONTAINERS[name](tmp_path, truth), memory_limit=1000)
     for series, expected in zip(recording.series, truth.all.T, strict=True):
@@ -53,8 +53,7 @@ def test_a_temporary_file_gives_the_same(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["mcap-zstd", "bag-lz4", "db3"])
-def test_tells_its_progress(name: str, tmp_path: Path) -> None:
-    """Bytes done rise to bytes in all."""
+def test_progress_increases_to_the_total(name: str, tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
     read(CONTAINERS[name](tmp_path, samples(300)), progress=lambda done, total: seen.append((done, total)))
     assert seen == sorted(seen)
@@ -62,8 +61,7 @@ def test_tells_its_progress(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["mcap-none", "bag-none", "db3"])
-def test_log_time_on_request(name: str, tmp_path: Path) -> None:
-    """The caller may prefer the time of recording."""
+def test_the_log_time_can_be_requested(name: str, tmp_path: Path) -> None:
     truth = samples(300)
     recording = read(CONTAINERS[name](tmp_path, truth), time="log")
     assert recording.series[0].clock.source == "log time"

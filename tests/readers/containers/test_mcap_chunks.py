@@ -1,4 +1,4 @@
-"""The chunks of an MCAP file, byte by byte: read by their index, or walked if it is missing or wrong."""
+"""Chunks of an MCAP file, byte by byte: read by their index, or record by record if it is wrong."""
 
 import struct
 from collections.abc import Callable
@@ -38,7 +38,7 @@ def test_a_chunk_gives_the_messages_of_its_index(mcap_of: McapOf) -> None:
     assert all(batch.loss is None for batch in found.values())
 
 
-def test_a_chunk_without_an_index_is_walked(mcap_of: McapOf) -> None:
+def test_a_chunk_without_an_index_is_read_record_by_record(mcap_of: McapOf) -> None:
     """The result is the same, and nothing is reported."""
     found = loaded(mcap_of, RECORDS)
     assert {key: payloads(batch) for key, batch in found.items()} == {1: [b"abcd", b"efgh"], 2: [b"", b""]}
@@ -47,7 +47,7 @@ def test_a_chunk_without_an_index_is_walked(mcap_of: McapOf) -> None:
     assert {key: batch.n for key, batch in loaded(mcap_of, message(2, 5)).items()} == {1: 0, 2: 1}
 
 
-def test_a_chunk_may_contain_a_single_message(mcap_of: McapOf) -> None:
+def test_a_chunk_can_contain_a_single_message(mcap_of: McapOf) -> None:
     batch = loaded(mcap_of, message(1, 5, b"a"), index(1, (5, 0)))[1]
     assert (payloads(batch), batch.loss) == ([b"a"], None)
 
@@ -73,9 +73,7 @@ def test_a_channel_without_an_index_has_no_messages_in_a_chunk_with_others(mcap_
         ((10, 0), (0, 0)),  # zeros
     ],
 )
-def test_an_index_that_points_elsewhere_is_not_used(
-    entries: tuple[tuple[int, int], ...], mcap_of: McapOf
-) -> None:
+def test_a_wrong_message_index_is_not_used(entries: tuple[tuple[int, int], ...], mcap_of: McapOf) -> None:
     """All messages are read, and the batch reports the damage."""
     found = loaded(mcap_of, RECORDS, index(1, *entries), index(2, *SECOND))
     assert payloads(found[1]) == [b"abcd", b"efgh"]
@@ -89,7 +87,7 @@ def test_an_index_that_points_elsewhere_is_not_used(
     assert (payloads(found[2]), found[2].loss) == ([b"", b""], None)
 
 
-def test_messages_may_have_different_sizes(mcap_of: McapOf) -> None:
+def test_messages_of_a_chunk_can_have_different_sizes(mcap_of: McapOf) -> None:
     raw = message(1, 10, b"abcd") + message(1, 20, b"") + message(1, 30, b"efghi")
     batch = loaded(mcap_of, raw, index(1, (10, 0), (20, 35), (30, 66)))[1]
     assert (payloads(batch), batch.loss) == ([b"abcd", b"", b"efghi"], None)
@@ -98,7 +96,7 @@ def test_messages_may_have_different_sizes(mcap_of: McapOf) -> None:
 
 @pytest.mark.parametrize(("length", "whole"), [(21, False), (22, True), (26, True), (27, False)])
 def test_a_message_ends_within_its_chunk(length: int, whole: bool, mcap_of: McapOf) -> None:  # noqa: FBT001
-    """The last one may reach to the end of the chunk; a message has at least 22 bytes."""
+    """The last message may end with the chunk; a message has at least 22 bytes."""
     raw = bytearray(message(1, 10, b"abcd") + message(1, 30, b"efgh"))
     struct.pack_into("<Q", raw, 36, length)
     batch = loaded(mcap_of, bytes(raw), index(1, (10, 0), (30, 35)))[1]
@@ -119,7 +117,9 @@ def test_a_message_ends_within_its_chunk(length: int, whole: bool, mcap_of: Mcap
     ],
     ids=["whole", "a byte short", "a message short", "zeros", "a channel first", "too short", "empty"],
 )
-def test_a_walk_ends_at_the_first_incomplete_record(raw: bytes, expected: dict[int, list[int]]) -> None:
+def test_reading_records_stops_at_the_first_incomplete_one(
+    raw: bytes, expected: dict[int, list[int]]
+) -> None:
     """It also ends at zeros, and skips other records."""
     assert walk_records(raw) == expected
 

@@ -1,4 +1,4 @@
-"""An MCAP file without an index: what each record adds, and where the scan ends."""
+"""An MCAP file without an index: the content of each record, and the end of the scan."""
 
 import struct
 from collections.abc import Callable
@@ -21,7 +21,7 @@ MESSAGES = message(7, 10, b"ab") + message(8, 20) + message(7, 30, b"cd")
 
 
 def lost(file: McapFile) -> int:
-    """Return the number of lost bytes by the finding of a scan."""
+    """Return the number of lost bytes in the finding of a scan."""
     (finding,) = file.findings
     start, _, rest = finding.text.partition("; all records were scanned instead.")
     assert finding.level == "warning"
@@ -44,7 +44,7 @@ def times(file: McapFile, key: int) -> list[list[int]]:
     return [batch.log_ns.tolist() for task in file.tasks(frozenset({key})) for _, batch in task.load()]
 
 
-def test_definitions_and_messages_outside_chunks(mcap_of: McapOf) -> None:
+def test_definitions_and_messages_outside_chunks_are_read(mcap_of: McapOf) -> None:
     file = mcap_of(*HEAD, MESSAGES, DATA_END, FOOTER)
     assert lost(file) == 0
     assert file.findings[0].code == "unindexed"
@@ -81,8 +81,8 @@ def test_the_first_definition_of_a_number_is_used(mcap_of: McapOf) -> None:
         (chunk(MESSAGES)[:-1], len(chunk(MESSAGES)) - 1),
     ],
 )
-def test_where_a_scan_ends(end: bytes, left: int, mcap_of: McapOf) -> None:
-    """At zeros and at an incomplete record; unknown and damaged records are skipped."""
+def test_a_scan_ends_at_zeros_or_an_incomplete_record(end: bytes, left: int, mcap_of: McapOf) -> None:
+    """Unknown and damaged records are skipped."""
     file = mcap_of(*HEAD, MESSAGES, end)
     assert lost(file) == left
     assert counts(file) == {7: 2, 8: 1}
@@ -112,8 +112,8 @@ def test_messages_are_loaded_in_parts(mcap_of: McapOf, monkeypatch: pytest.Monke
         assert list(chain(*times(file, 8))) == [20]
 
 
-def test_a_chunk_and_its_indexes(mcap_of: McapOf) -> None:
-    """An index belongs to the previous chunk; an empty one, or a second one of a channel, is ignored."""
+def test_message_indexes_belong_to_the_previous_chunk(mcap_of: McapOf) -> None:
+    """An empty index, or a second one of the same channel, is ignored."""
     whole, seven, eight = chunk(MESSAGES), index(7, (10, 0), (30, 64)), index(8, (20, 33))
     file = mcap_of(*HEAD, whole, seven, eight, index(9), record(99, b""), index(7, (10, 0)), whole, DATA_END)
     at = START + len(whole)
@@ -126,14 +126,14 @@ def test_a_chunk_and_its_indexes(mcap_of: McapOf) -> None:
 
 
 def test_an_index_without_a_chunk_is_ignored(mcap_of: McapOf) -> None:
-    """At the start of a file, and after messages outside chunks."""
+    """Such indexes are at the start of the file, and after messages outside chunks."""
     lonely = index(7, (10, 0))
     file = mcap_of(*HEAD, lonely, MESSAGES, lonely)
     assert counts(file) == {7: 2, 8: 1}
     assert times(file, 7) == [[10, 30]]
 
 
-def test_a_chunk_without_index_is_counted(mcap_of: McapOf) -> None:
+def test_the_messages_of_a_chunk_without_index_are_counted(mcap_of: McapOf) -> None:
     assert counts(mcap_of(*HEAD, chunk(MESSAGES))) == {7: 2, 8: 1}
 
 
@@ -204,13 +204,15 @@ def test_definitions_after_the_data_are_used(end: bytes, known: set[int], mcap_o
         (record(99, b"") + channel(1), {1}),
     ],
 )
-def test_definitions_among_the_records_of_a_chunk(raw: bytes, known: set[int], mcap_of: McapOf) -> None:
-    """Damaged ones are skipped."""
+def test_definitions_in_a_chunk_are_used(raw: bytes, known: set[int], mcap_of: McapOf) -> None:
+    """Damaged definitions are skipped."""
     assert set(counts(mcap_of(MAGIC, chunk(raw)))) == known
 
 
-def test_a_definition_of_megabytes_is_damage(mcap_of: McapOf, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is not read."""
+def test_a_definition_above_the_size_limit_is_not_read(
+    mcap_of: McapOf, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Such a size is damage."""
     size = len(channel(9)) - 9
     monkeypatch.setattr(mcap, "_MAX_DEFINITION", size)
     assert set(counts(mcap_of(MAGIC, channel(9), channel(10, b"/longer")))) == {9}

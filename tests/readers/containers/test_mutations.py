@@ -1,4 +1,4 @@
-"""Damaged logs: whatever happens to a file, reading it ends in samples that were in it, or in a message."""
+"""Damaged logs give samples that were in the log, or are refused with a message."""
 
 import functools
 import time
@@ -15,18 +15,18 @@ from imucal.recording import Recording
 from tests.readers.logs import CONTAINERS, Samples, samples
 from tests.slow_cases import first_by_default
 
-#: Cases of each format, in parts; more than 2000 in all.
+#: Cases of each format, in parts; more than 2000 in total.
 CASES, PARTS = 220, 4
-#: Longest run of bytes that one change touches.
+#: Largest number of adjacent bytes of one change.
 LONGEST = 64
-#: A message may hold this many changed bytes at least: a change of `LONGEST` bytes touches two messages.
+#: Least number of messages that one change may affect: a change of `LONGEST` bytes can touch two messages.
 TOUCHED = 2 + LONGEST // 300
-#: No case may take longer, in s; the usual one takes 10 ms.
+#: Time limit of a case in s; a usual case takes 10 ms.
 PATIENCE = 20.0
 
 FORMATS = tuple(CONTAINERS)
-#: Samples that a change may forge where nothing guards them: those whose bytes it touches, and in a
-#: compressed block without a checksum all that refer back to them. No reader can tell.
+#: Number of samples that a change may falsify if there is no checksum: those with changed bytes, and in a
+#: compressed block all that refer back to them. No reader can detect them.
 STRANGE = {
     "bag-none": TOUCHED,
     "bag-lz4": 60,
@@ -51,13 +51,13 @@ def cut(data: bytearray, rng: np.random.Generator) -> None:
 
 
 def zero(data: bytearray, rng: np.random.Generator) -> None:
-    """Fill a run with zeros."""
+    """Fill a part with zeros."""
     at, size = int(rng.integers(len(data))), int(rng.integers(1, LONGEST))
     data[at : at + size] = bytes(min(size, len(data) - at))
 
 
 def splice(data: bytearray, rng: np.random.Generator) -> None:
-    """Copy a run of the file over another place, or take it out."""
+    """Copy a part of the file over another one, or remove it."""
     at, other, size = (int(rng.integers(len(data))) for _ in range(3))
     size = size % LONGEST + 1
     if rng.random() < 0.5:
@@ -77,7 +77,7 @@ def truth() -> Samples:
 
 @pytest.fixture(scope="module")
 def originals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[str, bytes]]:
-    """Name of the file and bytes of a log of each format."""
+    """Return the file name and the bytes of a log of each format."""
     logs = {}
     for name in FORMATS:
         path = CONTAINERS[name](tmp_path_factory.mktemp(name), truth())
@@ -89,7 +89,7 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[str, 
 @pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
 @pytest.mark.parametrize("name", FORMATS)
 @pytest.mark.parametrize("part", first_by_default(range(PARTS), 1))
-def test_survives(
+def test_a_damaged_log_gives_original_samples_or_a_message(
     name: str,
     change: Callable[[bytearray, np.random.Generator], None],
     originals: dict[str, tuple[str, bytes]],
@@ -98,9 +98,9 @@ def test_survives(
     *,
     part: int,
 ) -> None:
-    """No exception but imucal's own, no hang, and no sample that the log does not hold.
+    """Only imucal's own exceptions are allowed, and reading must end.
 
-    Messages are decoded by turns in this thread and in others, which cost more than so few messages.
+    Messages are decoded alternately in this thread and in others, because threads are slow for few messages.
     """
     file, original = originals[name]
     rng = np.random.default_rng([FORMATS.index(name), CHANGES.index(change), part])
@@ -132,7 +132,7 @@ def _outcome(action: Callable[[Path], Result], path: Path) -> tuple[Result | Non
 
 
 def _strange(recording: Recording, known: list[frozenset[float]]) -> int:
-    """Return how many samples of an axis were never written, at most."""
+    """Return the largest number of samples of an axis that were never written."""
     columns = dict(zip(NAMES, known, strict=True))
     return max(
         sum(value not in columns[series.name] for value in series.samples.tolist())

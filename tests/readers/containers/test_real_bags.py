@@ -1,4 +1,4 @@
-"""Bags of others: bit-equal to what rosbags decodes, on every IMU topic there is."""
+"""Real bags: every IMU topic is bit-equal to what rosbags decodes."""
 
 from pathlib import Path
 
@@ -49,8 +49,7 @@ def by_rosbags(path: Path, topic: str) -> tuple[list[int], list[list[float]]]:
     ],
     ids=lambda value: value[-1] if isinstance(value, tuple) else "",
 )
-def test_equals_rosbags(parts: tuple[str, ...], topic: str) -> None:
-    """Every sample, bit by bit."""
+def test_samples_of_real_bags_equal_those_of_rosbags(parts: tuple[str, ...], topic: str) -> None:
     path = real_data(*parts)
     stamps, expected = by_rosbags(path, topic)
     recording = read(path, topic=topic if path.name.startswith("novatel") else None)
@@ -59,8 +58,8 @@ def test_equals_rosbags(parts: tuple[str, ...], topic: str) -> None:
     assert recording.series[0].clock.start_ns == stamps[0]
 
 
-def test_reads_a_bag_that_rosbags_refuses() -> None:
-    """One of its two publishers adds a byte to each message; 50 Hz, 61 s."""
+def test_a_bag_that_rosbags_refuses_is_read() -> None:
+    """One of its two publishers adds a byte to each message; the log has 50 Hz and 61 s."""
     recording = read(real_data("formats", "robot_localization_test2_jackal.bag"))
     series = recording.axis("accelerometer", "z")
     assert series.n == 3061
@@ -69,7 +68,7 @@ def test_reads_a_bag_that_rosbags_refuses() -> None:
 
 
 def test_all_formats_of_one_recording_are_equal() -> None:
-    """The same samples in five files; the SQLite bag holds the first 20,000 of them."""
+    """There are five files; the SQLite bag contains the first 20,000 samples."""
     names = ("imu_si.csv", "imu_lz4.bag", "imu_bz2.bag", "ros2_mcap", "ros2_sqlite3")
     recordings = {name: read(real_data(*SAME, name)) for name in names}
     first = rows(recordings["imu_lz4.bag"])
@@ -77,12 +76,12 @@ def test_all_formats_of_one_recording_are_equal() -> None:
     for name, recording in recordings.items():
         found = rows(recording)
         if name.endswith(".csv"):
-            # Written with nine digits.
+            # The CSV has nine digits.
             npt.assert_allclose(found, first, rtol=1e-8, atol=1e-9)
         else:
             assert np.array_equal(found, first[: len(found)]), name
         assert len(found) == (20_000 if name == "ros2_sqlite3" else 44_930)
-        # A CSV may hold its stamps in ns or in float seconds of the epoch.
+        # A CSV may contain stamps in ns or in float seconds since 1970.
         assert recording.series[0].rate_hz == pytest.approx(100, rel=1e-9), name
 
 
@@ -94,8 +93,8 @@ def test_all_formats_of_one_recording_are_equal() -> None:
         ("rosbag2_cdr_test_0.db3", "no topic carries a gyroscope or an accelerometer; found"),
     ],
 )
-def test_says_why_a_bag_has_no_imu(name: str, message: str) -> None:
-    """And lists what it has."""
+def test_a_bag_without_imu_is_refused_with_the_reason(name: str, message: str) -> None:
+    """The error lists the topics of the bag."""
     path = real_data("formats", name)
     with pytest.raises(ChoiceError) as caught:
         read(path)

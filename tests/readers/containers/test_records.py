@@ -1,4 +1,4 @@
-"""The records of containers, byte by byte: what is whole, and what is one byte short."""
+"""Records of containers, byte by byte: complete ones are parsed, ones a byte short are refused."""
 
 import struct
 from pathlib import Path
@@ -20,8 +20,8 @@ def text(value: bytes) -> bytes:
     return struct.pack("<I", len(value)) + value
 
 
-def test_a_record_of_an_mcap_has_all_its_fields() -> None:
-    """Records of the `mcap` package read less than a field declares at the end of their stream."""
+def test_an_mcap_record_must_have_all_its_fields() -> None:
+    """At the end of a stream, the `mcap` package accepts records with missing bytes."""
     from mcap.records import Channel as ChannelRecord
     from mcap.records import Schema
 
@@ -33,20 +33,20 @@ def test_a_record_of_an_mcap_has_all_its_fields() -> None:
                 mcap.parsed(kind, whole[:size])
 
 
-def test_a_name_that_is_not_utf_8_is_damage() -> None:
+def test_a_name_that_is_not_utf_8_is_damaged() -> None:
     from mcap.records import Channel as ChannelRecord
 
     with pytest.raises(DamagedError, match=r"^a Channel record is damaged$"):
         mcap.parsed(ChannelRecord, channel(7, b"/\xff"))
 
 
-def test_a_record_of_a_ros1_bag() -> None:
+def test_a_ros1_record_is_parsed() -> None:
     head = text(text(b"op=\x02") + text(b"name=a=b"))
     found = ros1.record(b"??" + head + text(b"12345"), 2)
     assert found.head == {b"op": b"\x02", b"name": b"a=b"}
     assert (found.start, found.end) == (2 + len(head) + 4, 2 + len(head) + 4 + 5)
     assert found.opcode == ros1.MESSAGE
-    # The data may reach beyond the buffer, the header and the size may not.
+    # The data may extend beyond the buffer; the header and the size may not.
     assert ros1.record(head + text(b"12345")[:4], 0).end == len(head) + 4 + 5
     for end in (0, 3, len(head) - 1, len(head) + 3):
         with pytest.raises(DamagedError, match=r"^a record header is damaged$"):
@@ -54,7 +54,7 @@ def test_a_record_of_a_ros1_bag() -> None:
 
 
 @pytest.mark.parametrize(("size", "whole"), [(1 << 20, True), ((1 << 20) + 1, False)])
-def test_no_header_is_longer_than_a_megabyte(size: int, whole: bool) -> None:  # noqa: FBT001
+def test_a_header_has_at_most_a_megabyte(size: int, whole: bool) -> None:  # noqa: FBT001
     field = text(b"a=".ljust(size - 4, b"b"))
     buffer = text(field) + text(b"")
     if whole:
@@ -76,7 +76,7 @@ def test_a_field_has_a_name_and_all_its_bytes(broken: bytes) -> None:
         ros1.fields(broken)
 
 
-def test_a_connection() -> None:
+def test_a_ros1_connection_is_parsed() -> None:
     data = text(b"type=a/B") + text(b"message_definition=int8 x")
     found = ros1.Record({b"conn": struct.pack("<I", 258), b"topic": b"/imu"}, 0, 0)
     assert ros1.connection(found, data) == Channel(
@@ -91,7 +91,7 @@ def test_a_connection() -> None:
     assert bare == Channel(key=0, topic="", type="", encoding="ros1")
 
 
-def test_messages_lie_inside_their_chunk() -> None:
+def test_messages_must_be_inside_their_chunk() -> None:
     buffer = bytes(range(6))
     at = np.array([0, 4])
     assert [bytes(item) for item in gather(buffer, at, 2)] == [b"\x00\x01", b"\x04\x05"]
@@ -101,7 +101,7 @@ def test_messages_lie_inside_their_chunk() -> None:
             gather(buffer, np.array(places), width)
 
 
-def test_some_messages_of_a_batch() -> None:
+def test_messages_of_a_batch_can_be_selected() -> None:
     starts, log = np.array([0, 10, 20]), np.array([1, 2, 3])
     batch = Batch(bytes(range(40)), starts, np.array([8, 9, 7]), log)
     for chosen in (np.array([0, 2]), slice(None, None, 2)):
@@ -122,13 +122,13 @@ METADATA = """rosbag2_bagfile_information:
 """
 
 
-def test_metadata_of_a_ros2_bag() -> None:
+def test_ros2_metadata_are_parsed() -> None:
     paths = "  relative_file_paths:\n    - a-1.db3\n    - 'b.db3'\n"
     assert parse_metadata(METADATA + paths) == (("a-1.db3", "b.db3"), "message", {"/imu": 12, "/gps": 3})
     assert parse_metadata("") == ((), "", None)
 
 
-def test_the_files_of_a_ros2_bag(tmp_path: Path) -> None:
+def test_files_of_a_ros2_bag_are_sorted_by_number(tmp_path: Path) -> None:
     for name in ("bag_10.db3", "bag_2.db3", "bag_1.db3.zst", "notes.txt"):
         (tmp_path / name).touch()
     bare = open_folder(tmp_path)
@@ -142,7 +142,7 @@ def test_the_files_of_a_ros2_bag(tmp_path: Path) -> None:
     assert (found.missing, found.per_message, found.counts) == ((), True, {"/imu": 12, "/gps": 3})
     metadata.write_text(listed + "    - bag_3.db3\n")
     found = open_folder(tmp_path)
-    # A count of all files is not that of those that are left.
+    # The counts cover all files, so they are unknown if a file is missing.
     assert (len(found.files), found.missing, found.counts) == (2, ("bag_3.db3",), None)
 
 
@@ -152,8 +152,8 @@ def test_numbers_in_names_sort_as_numbers() -> None:
 
 
 @pytest.mark.parametrize(("count", "named"), [(1, 1), (5, 5), (6, 5)])
-def test_files_that_are_missing_are_named(count: int, named: int, tmp_path: Path) -> None:
-    """Five of them at most, and how many there are."""
+def test_missing_files_of_a_bag_are_reported(count: int, named: int, tmp_path: Path) -> None:
+    """The finding contains their number and at most five names."""
     write_db3(tmp_path / "bag", imu_messages(samples(5)))
     metadata = tmp_path / "bag" / "metadata.yaml"
     lost = [f"lost_{i}.db3" for i in range(count)]

@@ -1,4 +1,4 @@
-"""The chunks of a ROS 1 bag, byte by byte: read by their index records, or walked if they are wrong."""
+"""Chunks of a ROS 1 bag, byte by byte: read by their index records, or sequentially if those are wrong."""
 
 import bz2
 import struct
@@ -56,8 +56,7 @@ def loaded(held: Held, *parts: bytes, closed: bool = True) -> dict[int, Batch]:
     return dict(task.load())
 
 
-def test_a_chunk_gives_the_messages_of_its_index_records(held: Held) -> None:
-    """With their times."""
+def test_index_records_give_the_messages_and_times_of_a_chunk(held: Held) -> None:
     found = loaded(held, chunk(RAW), ONE, TWO)
     assert {key: payloads(batch) for key, batch in found.items()} == {1: [b"abcd", b"efgh"], 2: [b""]}
     assert found[1].log_ns.tolist() == [SECOND + 5, 2 * SECOND + 6]
@@ -66,28 +65,27 @@ def test_a_chunk_gives_the_messages_of_its_index_records(held: Held) -> None:
 
 
 def test_an_index_record_without_entries_lists_no_messages(held: Held) -> None:
-    """The others are there."""
+    """Messages of other connections are read."""
     found = loaded(held, chunk(RAW), index(1), TWO)
     assert (found[1].n, payloads(found[1]), found[1].loss) == (0, [], None)
     assert payloads(found[2]) == [b""]
 
 
-def test_a_connection_may_precede_its_first_message(held: Held) -> None:
-    """Recorders let the index point there; the message behind it is meant."""
+def test_an_index_entry_can_point_to_a_connection_record(held: Held) -> None:
+    """Recorders let the entry point to the connection record before the first message."""
     found = loaded(held, chunk(RAW), index(1, (SECOND + 5, 0), (2 * SECOND + 6, THIRD)), TWO)
     assert (payloads(found[1]), found[1].loss) == ([b"abcd", b"efgh"], None)
 
 
-def test_messages_may_have_different_sizes(held: Held) -> None:
-    """Nothing is lost or reported."""
+def test_messages_of_a_chunk_can_have_different_sizes(held: Held) -> None:
     raw = message(1, 5, b"abc") + message(1, 6, b"") + message(1, 7, b"defgh")
     first, second = len(message(1, 5, b"abc")), len(message(1, 5, b"abc") + message(1, 6))
     batch = loaded(held, chunk(raw), index(1, (5, 0), (6, first), (7, second)))[1]
     assert (payloads(batch), batch.loss) == ([b"abc", b"", b"defgh"], None)
 
 
-def test_the_fields_of_a_header_have_any_order(held: Held) -> None:
-    """Such a message is parsed by itself; nothing is reported."""
+def test_the_fields_of_a_header_can_have_any_order(held: Held) -> None:
+    """Such a message is parsed separately, and nothing is reported."""
     other = record(2, {b"time": stamp(5), b"conn": b"\x01\0\0\0"}, b"abc")
     batch = loaded(held, chunk(other + message(1, 6, b"def")), index(1, (5, 0), (6, len(other))))[1]
     assert (payloads(batch), batch.loss) == ([b"abc", b"def"], None)
@@ -99,7 +97,7 @@ def test_a_damaged_header_is_reported(at: int, held: Held) -> None:
     raw = bytearray(message(1, 5, b"abc") + message(1, 6, b"def"))
     raw[at] ^= 1
     batch = loaded(held, chunk(bytes(raw)), index(1, (5, 0), (6, len(raw) // 2)))[1]
-    # A time of seven bytes: the last one is zero anyway.
+    # A time of seven bytes is read correctly, because the last byte is zero.
     assert (batch.loss is None) == (at == 25)
 
 
@@ -117,7 +115,7 @@ def test_a_damaged_header_is_reported(at: int, held: Held) -> None:
         (1 << 31, THIRD),
     ],
 )
-def test_an_index_record_that_points_elsewhere_is_not_used(first: int, last: int, held: Held) -> None:
+def test_a_wrong_index_record_is_not_used(first: int, last: int, held: Held) -> None:
     """It points beyond the chunk, into a record, to another connection, or twice to a message."""
     batch = loaded(held, chunk(RAW), index(1, (SECOND + 5, first), (2 * SECOND + 6, last)), TWO)[1]
     assert payloads(batch) == [b"abcd", b"efgh"]
@@ -128,7 +126,7 @@ def test_an_index_record_that_points_elsewhere_is_not_used(first: int, last: int
 
 
 def test_only_connections_are_skipped(held: Held) -> None:
-    """An index record must not point to another record before the message."""
+    """An index entry must not point to other records before the message."""
     other = record(9, {})
     raw = other + message(1, 5, b"abc") + message(1, 6, b"def")
     entries = index(1, (5, 0), (6, len(other) + len(message(1, 5, b"abc"))))
@@ -156,8 +154,8 @@ def test_a_missing_index_record_is_reported(parts: tuple[bytes, ...], held: Held
     assert (found[2].loss is None) == (parts[:1] == (TWO,))
 
 
-def test_a_part_of_an_entry_is_damage(held: Held) -> None:
-    """The chunk is walked."""
+def test_an_incomplete_index_entry_is_damage(held: Held) -> None:
+    """The chunk is read record by record."""
     damaged = record(4, {b"conn": b"\x01\0\0\0", b"count": b"\x02\0\0\0"}, bytes(23))
     batch = loaded(held, chunk(RAW), damaged)[1]
     assert payloads(batch) == [b"abcd", b"efgh"]
@@ -166,7 +164,7 @@ def test_a_part_of_an_entry_is_damage(held: Held) -> None:
 
 
 @pytest.mark.parametrize("closed", [False, True])
-def test_a_chunk_without_index_records_is_walked(held: Held, closed: bool) -> None:  # noqa: FBT001
+def test_a_chunk_without_index_records_is_read_record_by_record(held: Held, closed: bool) -> None:  # noqa: FBT001
     """Nothing is lost, so nothing is reported."""
     found = loaded(held, chunk(RAW), closed=closed)
     assert payloads(found[1]) == [b"abcd", b"efgh"]
@@ -179,8 +177,7 @@ def test_a_truncated_chunk_is_damage(held: Held) -> None:
         loaded(held, chunk(RAW)[:-1])
 
 
-def test_chunks_are_unpacked() -> None:
-    """They end where their record ends."""
+def test_a_chunk_is_unpacked_up_to_the_end_of_its_record() -> None:
     for data in (chunk(RAW), chunk(bz2.compress(RAW), b"bz2", len(RAW))):
         raw, end = unpack(memoryview(data + b"more"))
         assert (bytes(raw), end) == (RAW, len(data))
@@ -193,8 +190,8 @@ def test_chunks_are_unpacked() -> None:
 
 
 @pytest.mark.parametrize("end", [b"", MESSAGES[0][:-1], MESSAGES[0][:3], bytes(8), record(9, {})[:-1]])
-def test_a_walk_ends_at_the_first_incomplete_record(end: bytes) -> None:
-    """It includes all kinds of records before."""
+def test_reading_records_stops_at_the_first_incomplete_one(end: bytes) -> None:
+    """Complete records of all kinds are included."""
     assert [opcode for opcode, _ in walk(memoryview(RAW + end))] == [7, 2, 2, 2]
 
 

@@ -1,4 +1,4 @@
-"""A ROS 2 bag's database: topics and counts, ranges of rows, write-ahead logs, and damaged files."""
+"""The database of a ROS 2 bag: topics, counts, row ranges, write-ahead logs, and damage."""
 
 import sqlite3
 from collections.abc import Sequence
@@ -54,19 +54,19 @@ def payloads(batch: Batch) -> list[tuple[int, bytes]]:
 
 
 def losses(file: SqliteFile, *keys: int) -> list[Loss]:
-    """Return what was lost of some topics."""
+    """Return the losses of some topics."""
     tasks = file.tasks(frozenset(keys))
     found = [batch.loss for task in tasks for _, batch in task.load()]
     return [loss for loss in found if loss is not None]
 
 
 def of(*keys: int) -> list[tuple[int, int, bytes]]:
-    """Return what messages of some topics there are."""
+    """Return the expected messages of some topics."""
     return [(topic, time, data) for key in keys for _, topic, time, data in ROWS if topic == key]  # type: ignore[misc]
 
 
-def test_topics_and_their_counts(tmp_path: Path) -> None:
-    """With their definition, and the times of the whole file."""
+def test_topics_have_counts_and_definitions(tmp_path: Path) -> None:
+    """The times are those of the complete file."""
     with closing(SqliteFile(database(tmp_path))) as file:
         first, second = file.channels
         assert (first.key, first.topic, first.type, first.encoding) == (1, "/t1", "p/msg/M", "cdr")
@@ -81,8 +81,11 @@ def test_topics_and_their_counts(tmp_path: Path) -> None:
         assert file.sample() == b"m1"
 
 
-def test_known_counts_are_not_counted_again(tmp_path: Path) -> None:
-    """The metadata's, if they name every topic; of one topic the ids; else messages, unless millions."""
+def test_counts_come_from_the_metadata_or_the_ids(tmp_path: Path) -> None:
+    """Metadata count if they name every topic, ids if there is one topic.
+
+    Otherwise messages are counted, unless there are millions.
+    """
     path = database(tmp_path)
 
     def counts(known: dict[str, int] | None) -> list[int | None]:
@@ -117,21 +120,21 @@ def test_known_counts_are_not_counted_again(tmp_path: Path) -> None:
         MESSAGES + ", more integer",
     ],
 )
-def test_columns_may_have_another_order(columns: str, tmp_path: Path) -> None:
+def test_columns_of_the_database_can_have_any_order(columns: str, tmp_path: Path) -> None:
     """A table without a primary key is read by its row numbers."""
     with closing(SqliteFile(database(tmp_path, columns=columns))) as file:
         assert messages(file, 1, 2) == of(1, 2)
 
 
 @pytest.mark.parametrize("name", ["a?b#c.db3", "50%.db3", "%41.db3", "f\u00fcr \u65e5.db3", "file:x.db3"])
-def test_names_with_special_characters(name: str, tmp_path: Path) -> None:
+def test_file_names_can_contain_special_characters(name: str, tmp_path: Path) -> None:
     path = database(tmp_path).rename(tmp_path / name)
     with closing(SqliteFile(path)) as file:
         assert messages(file, 1) == of(1)
 
 
 def test_ranges_contain_every_row_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The size of each is its share of the file. Sparse ids make longer ranges, not more."""
+    """The size of a range is its share of the file. Sparse ids give longer ranges, not more ranges."""
     monkeypatch.setattr(sqlite, "_ROWS", 4)
     path = database(tmp_path)
     monkeypatch.setattr(sqlite, "_PART", path.stat().st_size // 5)
@@ -150,7 +153,7 @@ def test_ranges_contain_every_row_once(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_topics_keep_the_order_of_their_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """However many rows are fetched at once."""
+    """The number of rows per fetch does not matter."""
     monkeypatch.setattr(sqlite, "_FETCH", 2)
     with closing(SqliteFile(database(tmp_path))) as file:
         (task,) = file.tasks(frozenset({1, 2}))
@@ -166,8 +169,8 @@ def test_topics_keep_the_order_of_their_rows(tmp_path: Path, monkeypatch: pytest
     [(30, 1, 5, None), (30, 1, 5, "text"), (30, 1, 5.5, b"data"), (30, 1, "noon", b"data")],
     ids=["nothing", "text", "float time", "text time"],
 )
-def test_rows_of_other_types_are_lost(wrong: Row, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Only the few rows next to them are lost too."""
+def test_rows_of_wrong_types_are_lost(wrong: Row, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only a few neighbouring rows are lost with them."""
     monkeypatch.setattr(sqlite, "_MIN_RANGE", 1)
     rows: list[Row] = [(i, 1 + i % 2, 100 + i, b"m%d" % i) for i in range(1, 60) if i != 30]
     with closing(SqliteFile(database(tmp_path, [*rows, wrong]))) as file:
@@ -187,7 +190,7 @@ def big(folder: Path) -> tuple[Path, bytes]:
 
 @pytest.mark.parametrize("topics", [1, 2])
 def test_rows_of_a_damaged_page_are_lost(topics: int, tmp_path: Path) -> None:
-    """The others are read; counting the messages of two topics does not refuse the file."""
+    """The other rows are read. Counting the messages of two topics does not raise an error."""
     path, data = big(tmp_path)
     if topics == 2:
         with closing(sqlite3.connect(path)) as base, base:
@@ -207,7 +210,7 @@ def test_rows_of_a_damaged_page_are_lost(topics: int, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("lost", [1, 4096, 100_000])
 def test_a_cut_file_is_refused(lost: int, tmp_path: Path) -> None:
-    """The message shows how to recover it."""
+    """The error explains how to recover it."""
     path, data = big(tmp_path)
     path.write_bytes(data[:-lost])
     with pytest.raises(ReadError) as caught:
@@ -229,7 +232,7 @@ def test_the_start_of_a_file_is_refused(size: int, tmp_path: Path) -> None:
 
 
 def test_an_encrypted_file_is_refused(tmp_path: Path) -> None:
-    """Some programs leave the first 16 bytes."""
+    """Some programs do not encrypt the first 16 bytes."""
     path, data = big(tmp_path)
     path.write_bytes(data[:16] + bytes(value ^ 0x5A for value in data[16:]))
     with pytest.raises(ReadError, match=r"file is not a database; .* `sqlite3 log.db3 \.recover \| sqlite3"):
@@ -245,7 +248,7 @@ def test_another_database_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_locked_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before and during reading."""
+    """The lock is set before or during reading."""
     connect = sqlite3.connect
     monkeypatch.setattr(sqlite3, "connect", partial(connect, timeout=0.01))
     path = database(tmp_path)
@@ -285,10 +288,10 @@ def test_a_write_ahead_log_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", ["no log", "refused"])
-def test_a_write_ahead_log_that_can_not_be_read_is_reported(
+def test_an_unreadable_write_ahead_log_is_reported(
     damage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """SQLite opens no log where it can't make files; it would silently ignore one that is damaged."""
+    """SQLite opens no log if it can't create files, and silently ignores a damaged log."""
     path = unfinished(tmp_path)
     if damage == "no log":
         path.with_name("killed.db3-wal").write_bytes(b"no write-ahead log" * 100)
@@ -310,8 +313,8 @@ def test_a_write_ahead_log_that_can_not_be_read_is_reported(
 
 
 @pytest.mark.parametrize("log", [None, b""])
-def test_reading_makes_no_files(log: bytes | None, tmp_path: Path) -> None:
-    """A database with `journal_mode=wal` needs no log if it was closed; an empty one contains nothing."""
+def test_reading_creates_no_files(log: bytes | None, tmp_path: Path) -> None:
+    """A closed database with `journal_mode=wal` needs no log; an empty log contains no messages."""
     path = database(tmp_path)
     with closing(sqlite3.connect(path)) as base:
         base.execute("pragma journal_mode=wal")

@@ -1,4 +1,4 @@
-"""Which topic is read: never a silent pick, and a message that lists what there is."""
+"""The choice of a topic: ambiguous logs are refused with a list of the topics."""
 
 import re
 from pathlib import Path
@@ -31,15 +31,15 @@ def merged(*parts: list[Message]) -> list[Message]:
 
 
 def only(truth: Samples, sensor: Sensor) -> Samples:
-    """Return samples whose other sensor is all zero, as RealSense drivers write them."""
+    """Return samples whose other sensor is constantly zero, like those of RealSense drivers."""
     zero = np.zeros_like(truth.gyro)
     gyro = truth.gyro if sensor is Sensor.GYROSCOPE else zero
     accel = truth.accel if sensor is Sensor.ACCELEROMETER else zero
     return Samples(stamps=truth.stamps, log=truth.log, gyro=gyro, accel=accel)
 
 
-def test_lists_several_imu_topics(tmp_path: Path) -> None:
-    """Type, count, rate and duration of each; nothing is read."""
+def test_several_imu_topics_are_refused_with_a_list(tmp_path: Path) -> None:
+    """The list contains type, count, rate and duration."""
     other = samples(61, rate=50.0, seed=9)
     messages = merged(imu_messages(TRUTH, topic="/imu/data"), imu_messages(other, topic="/imu/raw"))
     path = write_mcap(tmp_path / "log.mcap", messages)
@@ -56,8 +56,8 @@ def test_lists_several_imu_topics(tmp_path: Path) -> None:
     assert read(path, topic="imu/data").source.topics == ("/imu/data",)
 
 
-def test_takes_each_sensor_of_a_realsense_from_its_topic(tmp_path: Path) -> None:
-    """Two Imu topics at two rates, each with one sensor: two clocks, nothing interpolated."""
+def test_each_sensor_of_a_realsense_is_read_from_its_topic(tmp_path: Path) -> None:
+    """Both topics have their own rate and one sensor. They keep their clocks, without interpolation."""
     gyro, accel = samples(400, rate=400.0), samples(63, rate=63.0, seed=8)
     messages = merged(
         imu_messages(only(gyro, Sensor.GYROSCOPE), topic="/camera/gyro/sample"),
@@ -82,8 +82,8 @@ def test_takes_each_sensor_of_a_realsense_from_its_topic(tmp_path: Path) -> None
     assert reverse.source.topics == recording.source.topics
 
 
-def test_a_sensor_that_never_changes_has_no_data(tmp_path: Path) -> None:
-    """It is left out, and said."""
+def test_a_constant_sensor_is_left_out(tmp_path: Path) -> None:
+    """A finding reports it."""
     path = write_mcap(tmp_path / "log.mcap", imu_messages(only(TRUTH, Sensor.GYROSCOPE)))
     recording = read(path)
     assert [series.name for series in recording.series] == ["gyro_x", "gyro_y", "gyro_z"]
@@ -92,8 +92,7 @@ def test_a_sensor_that_never_changes_has_no_data(tmp_path: Path) -> None:
     assert finding.axis == "accel"
 
 
-def test_a_log_of_constants_has_no_data(tmp_path: Path) -> None:
-    """Neither sensor changes."""
+def test_a_log_of_constants_is_refused(tmp_path: Path) -> None:
     still = Samples(stamps=TRUTH.stamps, log=TRUTH.log, gyro=TRUTH.gyro * 0, accel=TRUTH.accel * 0 + 1)
     path = write_mcap(tmp_path / "log.mcap", imu_messages(still))
     with pytest.raises(DataError, match="no sensor has samples that change"):
@@ -116,8 +115,8 @@ def vectors(topic: str, values: np.ndarray[Any, np.dtype[np.float64]]) -> list[M
     ]
 
 
-def test_reads_plain_vectors_only_by_name(tmp_path: Path) -> None:
-    """A vector may be anything: it is listed, and read where the caller names it."""
+def test_plain_vectors_are_read_only_if_named(tmp_path: Path) -> None:
+    """A vector can have any meaning, so the error only lists it."""
     messages = merged(vectors("/imu/gyro", TRUTH.gyro), vectors("/imu/accel", TRUTH.accel))
     path = write_mcap(tmp_path / "log.mcap", messages)
     with pytest.raises(ChoiceError) as caught:
@@ -135,15 +134,15 @@ def test_reads_plain_vectors_only_by_name(tmp_path: Path) -> None:
 
 
 def test_two_nameless_vectors_are_gyroscope_and_accelerometer_in_that_order(tmp_path: Path) -> None:
-    """The caller's order decides where no name does."""
+    """Neither topic has a sensor in its name, so the order of the options decides."""
     messages = merged(vectors("/a", TRUTH.gyro), vectors("/b", TRUTH.accel))
     recording = read(write_mcap(tmp_path / "log.mcap", messages), topic=["/a", "/b"])
     assert np.array_equal(recording.axis("gyroscope", "x").samples, TRUTH.gyro[:, 0])
     assert np.array_equal(recording.axis("accelerometer", "x").samples, TRUTH.accel[:, 0])
 
 
-def test_lists_the_available_topics(tmp_path: Path) -> None:
-    """A topic that is not there, and one that has no samples of an IMU."""
+def test_the_available_topics_are_listed(tmp_path: Path) -> None:
+    """Cases: a topic that does not exist, and a topic without IMU samples."""
     types = store(ros1=True)
     kind = "std_msgs/msg/String"
     text = bytes(types.serialize_ros1(types.types[kind](data="hello"), kind))
@@ -170,8 +169,8 @@ def test_lists_the_available_topics(tmp_path: Path) -> None:
     )
 
 
-def test_refuses_a_time_that_messages_do_not_have(tmp_path: Path) -> None:
-    """The name of a column, for a log of messages."""
+def test_a_time_column_of_messages_is_refused(tmp_path: Path) -> None:
+    """Column names exist only in tables."""
     path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH))
     with pytest.raises(ChoiceError) as caught:
         read(path, time="t_us")
@@ -180,15 +179,15 @@ def test_refuses_a_time_that_messages_do_not_have(tmp_path: Path) -> None:
     )
 
 
-def test_refuses_three_topics(tmp_path: Path) -> None:
-    """There are two sensors."""
+def test_three_topics_are_refused(tmp_path: Path) -> None:
+    """There are only two sensors."""
     path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH))
     with pytest.raises(ChoiceError, match="3 topics are named; expected one, or one for each sensor"):
         read(path, topic=["/a", "/b", "/c"])
 
 
-def test_zero_stamps_give_way_to_log_time(tmp_path: Path) -> None:
-    """Drivers that leave the stamp empty."""
+def test_zero_stamps_are_replaced_by_log_time(tmp_path: Path) -> None:
+    """Some drivers do not fill the stamp."""
     empty = Samples(stamps=TRUTH.stamps * 0, log=TRUTH.log, gyro=TRUTH.gyro, accel=TRUTH.accel)
     recording = read(write_mcap(tmp_path / "log.mcap", imu_messages(empty)))
     assert recording.series[0].clock.source == "log time"
@@ -197,7 +196,7 @@ def test_zero_stamps_give_way_to_log_time(tmp_path: Path) -> None:
 
 
 def test_messages_out_of_order_are_sorted_by_log_time(tmp_path: Path) -> None:
-    """Chunks written by several threads."""
+    """Chunks written by several threads can be out of order."""
     messages = imu_messages(TRUTH)
     shuffled = messages[60:] + messages[:60]
     recording = read(write_mcap(tmp_path / "log.mcap", shuffled))
@@ -206,8 +205,8 @@ def test_messages_out_of_order_are_sorted_by_log_time(tmp_path: Path) -> None:
     assert recording.findings[0].text == ("1 messages were out of order; they were sorted by log time.")
 
 
-def test_a_recorder_whose_clock_was_set_back_keeps_its_order(tmp_path: Path) -> None:
-    """The stamps are in order, so the file is."""
+def test_messages_with_ordered_stamps_keep_their_order(tmp_path: Path) -> None:
+    """The clock of the recorder was set back, but the stamps are in order."""
     log = np.where(np.arange(120) < 60, TRUTH.log, TRUTH.log - 3600 * 10**9)
     late = Samples(stamps=TRUTH.stamps, log=log, gyro=TRUTH.gyro, accel=TRUTH.accel)
     recording = read(write_mcap(tmp_path / "log.mcap", imu_messages(late)))
@@ -216,8 +215,8 @@ def test_a_recorder_whose_clock_was_set_back_keeps_its_order(tmp_path: Path) -> 
     assert recording.findings[0].code == "log-out-of-order"
 
 
-def test_a_log_recorded_twice_is_read_once(tmp_path: Path) -> None:
-    """Two subscriptions to one topic."""
+def test_messages_recorded_twice_are_read_once(tmp_path: Path) -> None:
+    """The recorder had two subscriptions to the topic."""
     messages = imu_messages(TRUTH)
     recording = read(write_mcap(tmp_path / "log.mcap", merged(messages, messages)))
     found = np.array([series.samples for series in recording.series]).T
@@ -226,8 +225,10 @@ def test_a_log_recorded_twice_is_read_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "found"), [("/imu/temperature", True), ("/motor/temperature", False)])
-def test_reads_the_temperature_next_to_the_imu(name: str, found: object, tmp_path: Path) -> None:
-    """A topic of its own, in the namespace of the IMU; not that of another thing."""
+def test_the_temperature_in_the_namespace_of_the_imu_is_read(
+    name: str, found: object, tmp_path: Path
+) -> None:
+    """It is a separate topic; topics in other namespaces can belong to other devices."""
     types = store()
     kind = "sensor_msgs/msg/Temperature"
     heat = types.types[kind]
@@ -250,7 +251,7 @@ def test_reads_the_temperature_next_to_the_imu(name: str, found: object, tmp_pat
 
 
 def two_imus(definition: str, build: Any) -> tuple[Any, list[Message]]:  # noqa: ANN401
-    """Return types with a type of that definition, and its messages; `build` gets types and row."""
+    """Return types including one with that definition, and its messages; `build` gets types and row."""
     types = store(acme__msg__Pair=definition)
     messages = []
     for row, (stamp, log) in enumerate(zip(TRUTH.stamps.tolist(), TRUTH.log.tolist(), strict=True)):
@@ -260,8 +261,8 @@ def two_imus(definition: str, build: Any) -> tuple[Any, list[Message]]:  # noqa:
     return types, messages
 
 
-def test_two_imus_in_a_message_are_a_choice(tmp_path: Path) -> None:
-    """The error proposes a columns text for each, which works; neither is taken silently."""
+def test_two_imus_in_a_message_require_a_choice(tmp_path: Path) -> None:
+    """The error proposes a columns text for each IMU, and both texts work."""
     other = samples(120, seed=9)
 
     def build(types: Any, row: int) -> dict[str, Any]:  # noqa: ANN401
@@ -288,8 +289,8 @@ def test_two_imus_in_a_message_are_a_choice(tmp_path: Path) -> None:
     assert topic.note.startswith(problem)
 
 
-def test_a_second_vector_in_a_message_is_a_choice(tmp_path: Path) -> None:
-    """An IMU beside a lone acceleration: the error proposes both, and the texts work."""
+def test_a_second_acceleration_in_a_message_requires_a_choice(tmp_path: Path) -> None:
+    """The message has an IMU and a separate acceleration; both proposed texts work."""
 
     def build(types: Any, row: int) -> dict[str, Any]:  # noqa: ANN401
         vector = types.types["geometry_msgs/msg/Vector3"]

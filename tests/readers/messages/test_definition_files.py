@@ -1,4 +1,4 @@
-"""Message definitions in the user's own files: as packages hold them, for the type they name only."""
+"""Message definitions in the user's files, as packages contain them, used only for the types they define."""
 
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ KIND = "acme/msg/Board"
 BOARD = "Header header\nuint8 state\nPair pair  # of this package\nother_msgs/Note note\n"
 PAIR = "geometry_msgs/Vector3 gyro\ngeometry_msgs/Vector3 accel\n"
 NOTE = "string<=8 text 'x'\nint8 LEVEL=3\n"
-#: A type that differs in nothing but its name, and in the order of its fields.
+#: This type differs only in its name and in the order of its fields.
 OTHER = "acme/msg/Swapped"
 
 
@@ -46,7 +46,7 @@ def log(folder: Path) -> Path:
 
 
 def package(folder: Path) -> Path:
-    """Write the definitions as packages hold them; return the folder above."""
+    """Write the definitions as packages contain them; return the parent folder."""
     for name, text in (("acme/msg/Board", BOARD), ("acme/msg/Pair", PAIR), ("other_msgs/msg/Note", NOTE)):
         file = folder / "src" / f"{name}.msg"
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -54,8 +54,8 @@ def package(folder: Path) -> Path:
     return folder / "src"
 
 
-def test_a_folder_of_packages(tmp_path: Path) -> None:
-    """Nested types of the package, of another and of ROS itself; the other topic is not touched."""
+def test_definitions_of_a_folder_of_packages_are_used(tmp_path: Path) -> None:
+    """Nested types belong to the package, to another one, or to ROS. The other topic is not affected."""
     path, folder = log(tmp_path), package(tmp_path)
     check(read(path, message_definition=folder))
     notes = {topic.name: topic for topic in describe(path).topics}
@@ -68,8 +68,8 @@ def test_a_folder_of_packages(tmp_path: Path) -> None:
     )
 
 
-def test_files_one_by_one(tmp_path: Path) -> None:
-    """In any order; a file outside of its package is known by its own name."""
+def test_definition_files_can_be_given_one_by_one(tmp_path: Path) -> None:
+    """Their order is free, and a file outside a package has its own name as type."""
     path, folder = log(tmp_path), package(tmp_path)
     files = sorted(folder.rglob("*.msg"), reverse=True)
     check(read(path, message_definition=files))
@@ -80,21 +80,21 @@ def test_files_one_by_one(tmp_path: Path) -> None:
     check(read(path, message_definition=loose))
 
 
-def test_what_is_missing_is_named(tmp_path: Path) -> None:
-    """A type in it that is neither given nor of ROS."""
+def test_a_missing_nested_type_is_reported(tmp_path: Path) -> None:
+    """The nested type is neither given nor part of ROS."""
     path, folder = log(tmp_path), package(tmp_path)
     with pytest.raises(ChoiceError, match="type other_msgs/Note is not defined"):
         read(path, topic="/board", message_definition=folder / "acme")
 
 
-def test_fields_of_a_type_that_is_given(tmp_path: Path) -> None:
-    """Both options together; behind a list of texts too."""
+def test_columns_of_a_given_type_can_be_named(tmp_path: Path) -> None:
+    """The columns may be after a list of texts."""
     path, folder = log(tmp_path), package(tmp_path)
     check(read(path, message_definition=folder, columns="g=pair.gyro,a=pair.accel", gyro_unit="rad/s"))
 
 
-def test_what_is_no_definition(tmp_path: Path) -> None:
-    """A folder without one, a file that can't be read."""
+def test_a_path_without_definitions_is_refused(tmp_path: Path) -> None:
+    """Cases: a folder without definitions, and an unreadable file."""
     path = log(tmp_path)
     empty = tmp_path / "empty"
     empty.mkdir()
@@ -107,8 +107,8 @@ def test_what_is_no_definition(tmp_path: Path) -> None:
         read(path, message_definition=tmp_path / "Board.msg")
 
 
-def test_names_of_files(tmp_path: Path) -> None:
-    """The folder above msg/ is the package; elsewhere there is none."""
+def test_the_folder_above_msg_is_the_package(tmp_path: Path) -> None:
+    """Files in other folders have no package."""
     package(tmp_path)
     given = read_definitions([tmp_path / "src" / "acme"])
     assert set(given) == {"acme/Board", "acme/Pair"}
@@ -128,7 +128,7 @@ def test_names_of_files(tmp_path: Path) -> None:
     ],
 )
 def test_a_file_names_its_type(file: str, name: str, tmp_path: Path) -> None:
-    """Packages and versions may stand in front of it."""
+    """Packages and versions can precede the name of the type."""
     path = tmp_path / file
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("int8 x", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The frame of a topic, in every container, and where there is none that can be read."""
+"""The frame of a topic in every container, and messages without a readable frame."""
 
 from pathlib import Path
 
@@ -11,13 +11,13 @@ from tests.readers.logs import CONTAINERS, imu_messages, samples, write_mcap
 
 @pytest.mark.parametrize("container", CONTAINERS)
 def test_every_container_contains_the_frame(container: str, tmp_path: Path) -> None:
-    """It stands among the decisions of a recording."""
+    """It is one of the decisions of a recording."""
     path = CONTAINERS[container](tmp_path, samples(20))
     assert dict(read(path).source.decisions)["frame"] == "imu"
 
 
-def test_it_is_a_decision(tmp_path: Path) -> None:
-    """Little and big endian; none where the name is empty."""
+def test_the_frame_is_read_in_both_byte_orders(tmp_path: Path) -> None:
+    """An empty name is no frame."""
     for frame, little in (("imu_link", True), ("base", False)):
         messages = imu_messages(samples(20), frames=(frame,), little_endian=little)
         decisions = dict(read(write_mcap(tmp_path / "log.mcap", messages)).source.decisions)
@@ -40,6 +40,6 @@ def test_it_is_a_decision(tmp_path: Path) -> None:
         (bytes(12) + b"\x2c\1\0\0" + b"x" * 300, "ros1", ""),
     ],
 )
-def test_what_can_be_no_name_is_none(payload: bytes, encoding: str, frame: str) -> None:
-    """Cut, longer than the message, too long, or not printable."""
+def test_an_invalid_frame_name_is_ignored(payload: bytes, encoding: str, frame: str) -> None:
+    """Cases: truncated, longer than the message, too long, and not printable."""
     assert frame_of(payload, encoding) == frame

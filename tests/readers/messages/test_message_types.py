@@ -1,4 +1,4 @@
-"""Which columns of a message are an IMU's: by their names, at any depth, several in one message."""
+"""Detection of the IMU columns of a message: by name, at any depth, several in one message."""
 
 from itertools import pairwise
 from types import SimpleNamespace
@@ -32,7 +32,7 @@ def found(text: str, *, name: str = "pkg/M", topic: str = "/t", **options: Any) 
 
 
 def planned(topic: Topic, **options: Any) -> TablePlan:  # noqa: ANN401 - options of any kind
-    """Return the plan of a topic, by its names alone."""
+    """Return the plan of a topic, derived only from its names."""
     return plan_of([], topic, ReadOptions(**options))[0]
 
 
@@ -67,8 +67,8 @@ def time_of(sensor: SensorPlan) -> tuple[str, int | None] | None:
         ("float64 gx\nfloat64 gy\nfloat64 gz", None),
     ],
 )
-def test_what_is_a_vector(text: str, gyro: tuple[str, ...] | None) -> None:
-    """Three numbers, as an array, a structure, or one by one; a quaternion or an angle is none."""
+def test_three_numbers_are_a_vector(text: str, gyro: tuple[str, ...] | None) -> None:
+    """They are an array, a structure or three fields; quaternions and angles do not count."""
     topic = found(text)
     assert topic.sensors == (() if gyro is None else (GYRO,))
     if gyro is not None:
@@ -85,23 +85,22 @@ def test_what_is_a_vector(text: str, gyro: tuple[str, ...] | None) -> None:
     ],
 )
 def test_units_are_certain_only_in_known_types(name: str, gyro: str, accel: str, *, stated: bool) -> None:
-    """Of messages of ROS and PX4, and of fields that are called as in these; others are inferred."""
+    """These are types of ROS and PX4, and fields with the same names; other units are inferred."""
     plan = planned(found(f"geometry_msgs/Vector3 {gyro}\ngeometry_msgs/Vector3 {accel}\n" + V3, name=name))
     units = [(one.stated.unit, one.stated.reason) if one.stated else None for one in plan.sensors]
     known = [("rad/s", "from the message type"), ("m/s^2", "from the message type")]
     assert units == (known if stated else [None, None])
 
 
-def test_letters_are_sensors_in_pairs() -> None:
-    """The acceleration ax, ay, az may be that of a position, unless rates are next to it."""
+def test_single_letters_are_sensors_only_in_pairs() -> None:
+    """Without rates, ax, ay, az could be the acceleration of a position."""
     text = "".join(f"float64 {letter}{axis}\n" for letter in "va" for axis in "xyz")
     assert found(text).sensors == ()
     assert found(text, columns="a=ax+ay+az").sensors == (ACCEL,)
     assert found(text.replace("v", "w")).sensors == (GYRO, ACCEL)
 
 
-def test_a_unit_in_a_name_counts() -> None:
-    """More than that of the type."""
+def test_a_unit_in_a_name_overrides_the_type() -> None:
     text = "".join(f"float64 gyro_{axis}_dps\n" for axis in "xyz")
     for name in ("pkg/M", "sensor_msgs/M"):
         (sensor,) = planned(found(text, name=name)).sensors
@@ -109,8 +108,8 @@ def test_a_unit_in_a_name_counts() -> None:
         assert (sensor.stated.unit, sensor.stated.reason) == ("deg/s", "from the column header")
 
 
-def test_several_imus_in_a_message_are_a_choice() -> None:
-    """Each can be named, with its own stamp."""
+def test_several_imus_in_a_message_require_a_choice() -> None:
+    """Each one can be named and has its own stamp."""
     topic = found("pkg/Imu left\npkg/Imu right\n" + IMU)
     assert topic.sensors == (GYRO, ACCEL)
     with pytest.raises(
@@ -124,8 +123,8 @@ def test_several_imus_in_a_message_are_a_choice() -> None:
         assert time_of(plan.sensors[0]) == (f"{side}.stamp", 1)
 
 
-def test_sensors_that_no_field_holds_together() -> None:
-    """One of each is one IMU; two gyroscopes are a choice."""
+def test_separate_fields_can_form_one_imu() -> None:
+    """Two gyroscopes require a choice."""
     one = "===\nMSG: pkg/G\nfloat64[3] gyro\n===\nMSG: pkg/A\nfloat64[3] accel\n"
     plan = planned(found("pkg/G first\npkg/A second\n" + one))
     assert {sensor: names[0] for sensor, names in paths(plan).items()} == {
@@ -151,8 +150,8 @@ def test_sensors_that_no_field_holds_together() -> None:
         ("/angular_accel", None),
     ],
 )
-def test_sensors_in_the_name_of_a_topic(topic: str, sensor: Sensor | None) -> None:
-    """One sensor, or nothing; it is read only if it is named."""
+def test_the_name_of_a_topic_can_contain_one_sensor(topic: str, sensor: Sensor | None) -> None:
+    """Such a topic is read only if the user names it."""
     one = found("float64 x\nfloat64 y\nfloat64 z", name="geometry_msgs/msg/Vector3", topic=topic)
     assert one.sensors == ((sensor,) if sensor else ())
     assert one.plain == bool(one.sensors)
@@ -160,8 +159,8 @@ def test_sensors_in_the_name_of_a_topic(topic: str, sensor: Sensor | None) -> No
     assert stamped.sensors == one.sensors
 
 
-def test_the_caller_chooses_the_sensor_of_a_vector() -> None:
-    """Of two topics the first is the gyroscope, whatever it is called; a twist is one in any case."""
+def test_the_order_of_named_topics_gives_the_sensors() -> None:
+    """The first topic is the gyroscope, whatever its name is. A twist is always a gyroscope."""
     text = "float64 x\nfloat64 y\nfloat64 z"
     vector: dict[str, Any] = {"name": "geometry_msgs/msg/Vector3", "topics": ("/accel", "/b")}
     first, second = (found(text, topic=topic, **vector) for topic in ("/accel", "/b"))
@@ -177,8 +176,8 @@ def test_the_caller_chooses_the_sensor_of_a_vector() -> None:
     assert one.plain
 
 
-def test_messages_of_px4() -> None:
-    """Increments over their durations, one sensor a message, or both; only under that package's name."""
+def test_increments_of_px4_become_rates() -> None:
+    """One message contains one or both sensors. The rule applies only to types of the package px4_msgs."""
     text = "uint64 timestamp\nuint64 timestamp_sample\nfloat32[3] delta_angle\nfloat32[3] delta_velocity\n"
     for span in ("delta_velocity_dt", "dt"):
         kind = "px4_msgs/msg/VehicleImu"
@@ -216,8 +215,8 @@ def test_messages_of_px4() -> None:
         ("builtin_interfaces/Time log_time\nstd_msgs/Header header", "header.stamp"),
     ],
 )
-def test_what_is_a_stamp(text: str, stamp: str | None) -> None:
-    """A time by its name; that of a header is the best."""
+def test_a_time_is_recognised_by_its_name(text: str, stamp: str | None) -> None:
+    """The stamp of a header is preferred."""
     (sensor,) = planned(found(text + "\nfloat64[3] gyro\n" + HEADER)).sensors
     assert time_of(sensor) == ((stamp, 1) if stamp else None)
 
@@ -233,14 +232,13 @@ def test_what_is_a_stamp(text: str, stamp: str | None) -> None:
         ("attempt", False),
     ],
 )
-def test_what_is_a_temperature(name: str, known: bool) -> None:  # noqa: FBT001
-    """A number by one of a few names."""
+def test_a_temperature_is_recognised_by_its_name(name: str, known: bool) -> None:  # noqa: FBT001
     plan = planned(found(f"float32 {name}\nfloat64[3] gyro"))
     assert plan.temperature == (0 if known else None)
 
 
-def test_fields_end_at_an_unknown_layout_and_have_limits() -> None:
-    """Nests of sixteen are read, deeper ones refused; so are more elements than twenty thousand."""
+def test_fields_after_an_unknown_layout_are_omitted() -> None:
+    """Definitions with more than sixteen levels or twenty thousand elements are refused."""
 
     def nested(depth: int) -> str:
         names = [f"pkg/T{i}" for i in range(depth + 1)]
@@ -264,15 +262,15 @@ def test_fields_end_at_an_unknown_layout_and_have_limits() -> None:
     assert [field.path for field in defined("pkg/M", "string[2] s\nfloat64 x", ros1=True).fields()] == ["s"]
 
 
-def test_a_definition_that_holds_itself_is_refused() -> None:
-    """As a field or as a sequence: it would never end."""
+def test_a_recursive_definition_is_refused() -> None:
+    """The recursion is a field, an array or a sequence."""
     for text in ("pkg/M m", "pkg/M[] m", "pkg/M[2] m", "pkg/A[] a\n===\nMSG: pkg/A\npkg/A[] a"):
         with pytest.raises(DefinitionError, match="nests too deeply"):
             defined("pkg/M", text, ros1=True).fields()
 
 
 @pytest.mark.parametrize(("ros1", "code"), [(True, "i1"), (False, "u1")])
-def test_a_byte_is_signed_in_ros_1_alone(ros1: bool, code: str) -> None:  # noqa: FBT001
+def test_a_byte_is_signed_only_in_ros_1(ros1: bool, code: str) -> None:  # noqa: FBT001
     assert [field.code for field in defined("pkg/M", "byte b", ros1=ros1).fields()] == [code]
 
 
@@ -281,8 +279,8 @@ def test_a_byte_is_signed_in_ros_1_alone(ros1: bool, code: str) -> None:  # noqa
     [("/turtle1/cmd_vel", True), ("/arm/command", True), ("/setpoint", True), ("/commander/imu", False),
      ("/twist", False), ("/targets/rate", True), ("/retarget", False)],
 )  # fmt: skip
-def test_the_name_of_a_topic_identifies_commands(topic: str, *, command: bool) -> None:
-    """Only whole words of the name count; an IMU is no command."""
+def test_a_topic_name_can_identify_commands(topic: str, *, command: bool) -> None:
+    """Only complete words of the name count, and an IMU is never a command."""
     assert is_command(topic) is command
     twist = "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n" + V3
     assert found(twist, name="geometry_msgs/Twist", topic=topic).sensors == (() if command else (GYRO,))

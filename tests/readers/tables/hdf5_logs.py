@@ -1,4 +1,4 @@
-"""Simulated HDF5 files: plain, and as MATLAB 7.3 writes them."""
+"""Simulated HDF5 files, plain or in the format of MATLAB 7.3."""
 
 import struct
 from collections.abc import Mapping
@@ -10,14 +10,14 @@ import numpy as np
 
 __all__ = ["write_hdf5", "write_matlab"]
 
-#: Bytes in front of the HDF5 file in which MATLAB says what it is.
+#: Bytes in front of the HDF5 file that contain MATLAB's signature.
 _BLOCK = 512
 
 
 def write_hdf5(
     path: Path, arrays: Mapping[str, Any], *, compression: str | None = None, **attributes: float
 ) -> Path:
-    """Write arrays by their paths, such as ``imu/gyro``, and attributes of the file."""
+    """Write arrays at paths such as ``imu/gyro``, and attributes of the file."""
     with h5py.File(path, "w") as file:
         file.attrs.update(attributes)
         for name, array in arrays.items():
@@ -26,9 +26,9 @@ def write_hdf5(
 
 
 def write_matlab(path: Path, arrays: Mapping[str, Any], *, table: bool = False) -> Path:
-    """Write arrays as MATLAB does: columns for rows, classes in attributes, and perhaps a table.
+    """Write arrays like MATLAB: transposed, with classes as attributes, and optionally a table.
 
-    Source: what MATLAB R2023 writes by ``save(..., '-v7.3')``.
+    Source: output of MATLAB R2023 for ``save(..., '-v7.3')``.
     """
     with h5py.File(path, "w", userblock_size=_BLOCK) as file:
         for name, array in arrays.items():

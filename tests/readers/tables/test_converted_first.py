@@ -1,4 +1,4 @@
-"""Logs that must be converted first: the error explains how, and what it says works."""
+"""Logs that must be converted first: the error explains how, and its instructions work."""
 
 import re
 import shutil
@@ -37,7 +37,7 @@ def refused(*paths: Path, **options: Any) -> str:  # noqa: ANN401 - options of a
 
 
 def typed(command: str, folder: Path) -> None:
-    """Type a command in a folder."""
+    """Run a command in a folder."""
     shell = shutil.which("bash") or "sh"
     subprocess.run([shell, "-c", command], cwd=folder, check=True)  # noqa: S603 - what the message says
 
@@ -61,10 +61,10 @@ def is_truth(recording: Recording, tolerance: float = 0.0) -> None:
         (vnimu, ["log.csv"], {"rate_hz": 100.0}),
     ],
 )
-def test_text_of_a_logger(
+def test_the_command_for_the_text_of_a_logger_works(
     build: Callable[[Truth], str], files: list[str], options: dict[str, Any], tmp_path: Path
 ) -> None:
-    """The command in the error writes CSV files that are read."""
+    """The command writes CSV files that are read."""
     path = tmp_path / "a log.txt"
     path.write_text(build(truth()), encoding="utf-8")
     ends = r", and give the sampling rate for log.csv|; then give both files: Gyro.csv Accel.csv|"
@@ -74,8 +74,8 @@ def test_text_of_a_logger(
     is_truth(read(*(tmp_path / name for name in files), **options), 1e-6)
 
 
-def test_kitti(tmp_path: Path) -> None:
-    """The error lists the columns, and the manual names those of KITTI."""
+def test_kitti_is_refused_with_a_list_of_its_columns(tmp_path: Path) -> None:
+    """The manual contains the columns text for KITTI."""
     path = tmp_path / "oxts.txt"
     path.write_text(kitti(truth()), encoding="utf-8")
     assert "the 30 columns have no header; found columns: 0 0, " in refused(path)
@@ -85,8 +85,8 @@ def test_kitti(tmp_path: Path) -> None:
     is_truth(read(path, columns=match[1], rate_hz=float(match[2]), gyro_unit=match[3]))
 
 
-def test_gps_weeks(tmp_path: Path) -> None:
-    """Times of the week are read alone; weeks are refused, with the column to name."""
+def test_times_of_the_week_are_read_without_the_weeks(tmp_path: Path) -> None:
+    """A columns text with weeks is refused with the right column."""
     path = tmp_path / "log.csv"
     tow = [f"{345_600 + ns * 1e-9:.3f}" for ns in truth().ns]
     path.write_text(lines(f"week,tow,{SI}", ["2200"] * N, tow, *xyz(truth().gyro), *xyz(truth().accel)))
@@ -96,8 +96,8 @@ def test_gps_weeks(tmp_path: Path) -> None:
     is_truth(read(path, columns="t=1,g=2:5,a=5:8"))
 
 
-def test_a_week_that_ends(tmp_path: Path) -> None:
-    """The time of the week starts again: a finding reports the jump."""
+def test_the_end_of_a_gps_week_is_a_clock_jump(tmp_path: Path) -> None:
+    """The time of the week starts again at zero."""
     path = tmp_path / "log.csv"
     tow = [f"{(604_798 + ns * 1e-9) % 604_800:.3f}" for ns in truth().ns]
     path.write_text(lines(f"week,tow,{SI}", ["2200"] * N, tow, *xyz(truth().gyro), *xyz(truth().accel)))
@@ -107,8 +107,8 @@ def test_a_week_that_ends(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["dt", "delta_t"])
-def test_steps(name: str, tmp_path: Path) -> None:
-    """Without a time or a rate the error explains how to make a column of times."""
+def test_a_column_of_time_steps_is_refused(name: str, tmp_path: Path) -> None:
+    """The error explains how to compute a column of times. With a rate the log is read."""
     path = tmp_path / "log.csv"
     values = [*xyz(truth().gyro), *xyz(truth().accel)]
     path.write_text(lines(f"{name},{SI}", ["0.01"] * N, *values), encoding="utf-8")
@@ -122,8 +122,8 @@ def test_steps(name: str, tmp_path: Path) -> None:
     is_truth(read(path))
 
 
-def test_parts_of_dates(tmp_path: Path) -> None:
-    """Without a time or a rate the error explains how to write the date."""
+def test_dates_in_separate_columns_are_refused(tmp_path: Path) -> None:
+    """The error explains how to write the date in one column. With a rate the log is read."""
     path = tmp_path / "log.csv"
     values = [*xyz(truth().gyro), *xyz(truth().accel)]
     second = [f"{56 + i // 100 if i < 400 else 0}.{i % 100:02d}" for i in range(N)]
@@ -140,8 +140,8 @@ def test_parts_of_dates(tmp_path: Path) -> None:
     is_truth(read(path))
 
 
-def test_times_in_a_separate_file(tmp_path: Path) -> None:
-    """The error names both ways: join the files, or give the rate."""
+def test_times_in_a_separate_file_are_refused(tmp_path: Path) -> None:
+    """The error offers two solutions: join the files, or give the rate."""
     paths = [tmp_path / f"{name}.csv" for name in ("accel", "gyro", "time")]
     for path, header, columns in zip(
         paths,

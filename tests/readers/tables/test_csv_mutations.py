@@ -1,4 +1,4 @@
-"""Damaged text: no traceback, no hang, no value that the text does not hold."""
+"""Damaged texts cause no traceback, no endless loop, and no value that the text does not contain."""
 
 import math
 import re
@@ -15,7 +15,7 @@ from imucal.readers.tables.text_table import read
 from tests.readers.tables.texts import STYLES, Style, write
 from tests.slow_cases import first_by_default
 
-#: Cases: each changes each of these layouts by each kind of damage with each of some seeds, in parts.
+#: Every layout is damaged by every kind of damage with this many seeds, in this many parts.
 SEEDS, PARTS = 18, 3
 LAYOUTS = (
     "EuRoC",
@@ -27,7 +27,7 @@ LAYOUTS = (
     "JSON lines",
     "JSON lines of sensors",
 )
-#: Lines of a log: enough for several blocks of the size that the test reads.
+#: Lines of a log: enough for several blocks of the test's block size.
 LINES = 160
 
 Damage = Callable[[bytes, np.random.Generator], bytes]
@@ -55,19 +55,19 @@ def zero(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def splice(data: bytes, rng: np.random.Generator) -> bytes:
-    """Put a part of it somewhere else."""
+    """Insert a copy of one part at another place."""
     start, place = (int(value) for value in rng.integers(0, len(data), 2))
     return data[:place] + data[start : start + int(rng.integers(1, 5000))] + data[place:]
 
 
 def drop(data: bytes, rng: np.random.Generator) -> bytes:
-    """Lose a part."""
+    """Remove a part."""
     start = int(rng.integers(0, len(data)))
     return data[:start] + data[start + int(rng.integers(1, 3000)) :]
 
 
 def strange_values(values: set[float], data: bytes) -> set[float]:
-    """Return the values that are neither a cell of a text nor stand in its longer digits."""
+    """Return the values that are neither a cell of the text nor a number within its longer digits."""
     text_source = data.decode("latin-1")
     strange = values - _numbers(re.split(r"[,;\t\s*\"$|]+", text_source))
     return strange - _numbers(_NUMBER.findall(text_source)) if strange else strange
@@ -98,7 +98,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Style, byt
 @pytest.mark.parametrize("name", LAYOUTS)
 @pytest.mark.parametrize("damage", [flip, cut, zero, splice, drop])
 @pytest.mark.parametrize("part", first_by_default(range(PARTS), 1))
-def test_damaged_text(
+def test_a_damaged_text_is_read_or_refused_with_a_message(
     name: str,
     damage: Damage,
     logs: dict[str, tuple[Style, bytes]],
@@ -107,12 +107,12 @@ def test_damaged_text(
     *,
     part: int,
 ) -> None:
-    """Every damaged log is read or refused with a message; every sample stands in the damaged text."""
+    """Every sample must be a number of the damaged text."""
     style, data = logs[name]
     monkeypatch.setattr(text_source, "_HEAD", 2048)
     monkeypatch.setattr(text_source, "_BLOCK", 4096)
     path = tmp_path / style.file
-    # SI units are given so that a sample is a number of the text.
+    # SI units are given so that every sample is a number of the text.
     options = ReadOptions(
         gyro_unit="rad/s",
         accel_unit="m/s^2",
@@ -137,8 +137,7 @@ def test_damaged_text(
 
 
 @pytest.mark.parametrize("damage", [flip, cut, zero, splice, drop])
-def test_damaged_zip(damage: Damage, tmp_path: Path) -> None:
-    """A damaged zip is read or refused with a message."""
+def test_a_damaged_zip_is_read_or_refused_with_a_message(damage: Damage, tmp_path: Path) -> None:
     style = next(style for style in STYLES if style.name == "phyphox zip")
     path = write(style, tmp_path)
     data = path.read_bytes()

@@ -1,4 +1,4 @@
-"""Every header style met in the wild gives the right axes, units and rate."""
+"""Every known header style gives the right axes, units and rate."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -24,8 +24,7 @@ def layout_of(recording: Recording) -> str:
 
 
 @pytest.mark.parametrize("style", STYLES, ids=lambda style: style.name)
-def test_style(style: Style, tmp_path: Path) -> None:
-    """Axes, units, rate and layout are those of the truth, whatever the header looks like."""
+def test_a_header_style_gives_axes_units_rate_and_layout(style: Style, tmp_path: Path) -> None:
     recording = read(write(style, tmp_path), options(style))
     expected = [name for name, there in (("gyro", style.gyro), ("accel", style.accel)) if there]
     assert [series.name for series in recording.series] == [f"{s}_{axis}" for s in expected for axis in "xyz"]
@@ -40,13 +39,13 @@ def test_style(style: Style, tmp_path: Path) -> None:
         if style.tolerance == 0:
             npt.assert_array_equal(series.samples, column)
         else:
-            # One conversion of units there and one back, or the digits that the style writes.
+            # The tolerance covers one conversion of units each way, or the digits of the style.
             npt.assert_allclose(series.samples, column, rtol=style.tolerance, atol=style.tolerance)
 
 
 @pytest.mark.parametrize("style", STYLES, ids=lambda style: style.name)
-def test_every_decision_has_a_source(style: Style, tmp_path: Path) -> None:
-    """The report can say of columns, time and units where they come from."""
+def test_decisions_on_columns_time_and_units_have_a_source(style: Style, tmp_path: Path) -> None:
+    """The report shows these sources."""
     recording = read(write(style, tmp_path), options(style))
     decisions = dict(recording.source.decisions)
     for sensor in {series.sensor for series in recording.series}:
@@ -56,8 +55,7 @@ def test_every_decision_has_a_source(style: Style, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["EuRoC", "ArduPilot", "VectorNav INSTINCT", "WitMotion", "phyphox zip"])
-def test_describe_reports_the_same(name: str, tmp_path: Path) -> None:
-    """`describe` names the layout, the count and the rate."""
+def test_describe_reports_layout_count_and_rate(name: str, tmp_path: Path) -> None:
     style = next(style for style in STYLES if style.name == name)
     contents = describe(write(style, tmp_path), options(style))
     (topic,) = contents.topics
@@ -68,8 +66,8 @@ def test_describe_reports_the_same(name: str, tmp_path: Path) -> None:
     assert set(topic.sensors) == {Sensor.GYROSCOPE, Sensor.ACCELEROMETER}
 
 
-def test_two_clocks_of_a_phone(tmp_path: Path) -> None:
-    """SensorLog stamps each sensor itself; the time of logging is not used."""
+def test_each_sensor_of_sensorlog_has_its_own_clock(tmp_path: Path) -> None:
+    """The time of logging is not used."""
     style = next(style for style in STYLES if style.name == "SensorLog")
     recording = read(write(style, tmp_path), options(style))
     gyro, accel = recording.axis("gyroscope", "x").clock, recording.axis("accelerometer", "x").clock
@@ -78,8 +76,7 @@ def test_two_clocks_of_a_phone(tmp_path: Path) -> None:
     assert (gyro.start_ns, accel.start_ns) == (1_000_000_000_000, 1_000_003_000_000)
 
 
-def test_one_table_has_one_clock(tmp_path: Path) -> None:
-    """Sensors of the same rows share their clock."""
+def test_sensors_of_one_table_share_a_clock(tmp_path: Path) -> None:
     style = next(style for style in STYLES if style.name == "EuRoC")
     recording = read(write(style, tmp_path), options(style))
     assert len({id(series.clock) for series in recording.series}) == 1
@@ -89,8 +86,8 @@ def test_one_table_has_one_clock(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "expected"), [("ArduPilot", 31.5), ("WitMotion", 25.1), ("VectorNav INSTINCT", 21.5)]
 )
-def test_temperature(name: str, expected: float, tmp_path: Path) -> None:
-    """A temperature column becomes the recording's temperature, on the sensor's clock."""
+def test_a_temperature_column_is_read(name: str, expected: float, tmp_path: Path) -> None:
+    """It has the clock of the sensor."""
     style = next(style for style in STYLES if style.name == name)
     recording = read(write(style, tmp_path), options(style))
     assert recording.temperature is not None
@@ -98,8 +95,8 @@ def test_temperature(name: str, expected: float, tmp_path: Path) -> None:
     assert recording.temperature.clock is recording.series[0].clock
 
 
-def test_folder_is_read_like_a_zip(tmp_path: Path) -> None:
-    """A phone app's folder gives the gyroscope and the accelerometer with gravity."""
+def test_a_folder_is_read_like_a_zip(tmp_path: Path) -> None:
+    """The folder of a phone app contains the gyroscope and the accelerometer with gravity."""
     import zipfile
 
     style = next(style for style in STYLES if style.name == "Sensor Logger zip")

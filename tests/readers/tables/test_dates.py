@@ -1,4 +1,4 @@
-"""Dates and times of day in the spellings of people, spreadsheets and loggers."""
+"""Dates and times of day in the formats of people, spreadsheets and loggers."""
 
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
@@ -12,7 +12,7 @@ from imucal.readers.tables.dates import NO_STAMP, day_first, parse_texts, text_k
 from tests.readers.tables.texts import N, lines, truth, xyz
 
 SI = "gx (rad/s),gy (rad/s),gz (rad/s)"
-#: A second before noon of a day that no month has the number of, and one of each.
+#: One second before noon, on a day that can't be a month, and on one that can.
 LATE = datetime(2026, 11, 22, 11, 59, 59, tzinfo=UTC)
 EARLY = datetime(2026, 3, 4, 23, 59, 59, tzinfo=UTC)
 
@@ -39,8 +39,8 @@ SPELLINGS: dict[str, Callable[[datetime], str]] = {
 
 @pytest.mark.parametrize("start", [LATE, EARLY], ids=["noon", "midnight"])
 @pytest.mark.parametrize("spelling", SPELLINGS)
-def test_dates(spelling: str, start: datetime, tmp_path: Path) -> None:
-    """Start, rate and the turn of the day are right."""
+def test_each_date_format_gives_start_and_rate(spelling: str, start: datetime, tmp_path: Path) -> None:
+    """Logs that pass midnight are correct too."""
     stamps = [SPELLINGS[spelling](start + timedelta(milliseconds=10 * i)) for i in range(N)]
     path = tmp_path / "log.csv"
     path.write_text(lines(f"date,{SI}", stamps, *xyz(truth().gyro)), encoding="utf-8")
@@ -50,8 +50,8 @@ def test_dates(spelling: str, start: datetime, tmp_path: Path) -> None:
     assert not clock.gaps
 
 
-def test_the_day_before_the_month(tmp_path: Path) -> None:
-    """A number above 12 is a day; where there is none the month comes first, and it is said."""
+def test_a_number_above_12_is_the_day(tmp_path: Path) -> None:
+    """Without such a number the month is assumed to come first, and a finding reports that."""
     stamps = [(LATE + timedelta(milliseconds=10 * i)).strftime("%d/%m/%Y %H:%M:%S.%f") for i in range(N)]
     path = tmp_path / "log.csv"
     path.write_text(lines(f"date,{SI}", stamps, *xyz(truth().gyro)), encoding="utf-8")
@@ -68,8 +68,8 @@ def test_the_day_before_the_month(tmp_path: Path) -> None:
 
 
 MARKS = (" ", ",", "\t", ";")
-#: What parts the cells, the names of a date, a time and perhaps AM or PM, and whether there is the latter.
-#: Only blanks cut what has one name.
+#: Delimiter, names of date, time and AM or PM, and whether AM or PM exists. Only blanks split a column that
+#: has a single name.
 SPLIT = [
     *((mark, names, half) for mark in MARKS for names, half in (("", False), ("", True))),
     *((mark, names, len(names.split()) == 3) for mark in MARKS for names in ("date time", "date time half")),
@@ -79,13 +79,13 @@ SPLIT = [
 
 
 @pytest.mark.parametrize(("mark", "names", "half"), SPLIT)
-def test_date_and_time_in_columns_of_their_own(
+def test_date_and_time_in_separate_columns_are_joined(
     mark: str,
     names: str,
     half: bool,  # noqa: FBT001 - a parameter of the case
     tmp_path: Path,
 ) -> None:
-    """Blanks cut a date from its time, and from AM and PM; one name may stand for them all."""
+    """Blanks separate date, time, and AM or PM; one name can stand for all of them."""
     cells = 3 if half else 2
     form = "%m/%d/%Y %I:%M:%S.%f %p" if half else "%Y-%m-%d %H:%M:%S.%f"
     moments = [LATE + timedelta(milliseconds=10 * i) for i in range(N)]
@@ -114,8 +114,7 @@ def test_date_and_time_in_columns_of_their_own(
         ([], "stamp"),
     ],
 )
-def test_kinds_of_text(cells: list[str], kind: str) -> None:
-    """All cells that are filled must be of a kind."""
+def test_all_filled_cells_of_a_column_have_one_kind(cells: list[str], kind: str) -> None:
     assert text_kind(cells) == kind
 
 
@@ -131,8 +130,7 @@ def test_kinds_of_text(cells: list[str], kind: str) -> None:
         "x",
     ],
 )
-def test_what_is_no_time(cell: str) -> None:
-    """A text that is no time is told from every time."""
+def test_other_texts_are_not_times(cell: str) -> None:
     assert parse_texts([cell]).tolist() == [NO_STAMP]
     assert parse_texts([cell], "date").tolist() == [NO_STAMP]
     assert parse_texts([cell], "half").tolist() == [NO_STAMP]

@@ -1,4 +1,4 @@
-"""HDF5 and MATLAB 7.3: columns by their paths, as they are in NPZ and older MAT files."""
+"""HDF5 and MATLAB 7.3: columns are named by their paths, as in NPZ and older MAT files."""
 
 import sys
 from pathlib import Path
@@ -28,8 +28,8 @@ def is_truth(path: Path, **options: Any) -> None:  # noqa: ANN401 - options of a
 
 
 @pytest.mark.parametrize("compression", [None, "gzip"])
-def test_groups_of_arrays(compression: str | None, tmp_path: Path) -> None:
-    """Stamps are integers to the last digit."""
+def test_groups_of_arrays_are_read(compression: str | None, tmp_path: Path) -> None:
+    """Stamps keep all digits."""
     arrays = {"imu/stamp_ns": STAMPS, "imu/gyro": truth().gyro, "imu/accel": truth().accel}
     path = write_hdf5(tmp_path / "log.h5", arrays | {"camera/exposure": np.ones(7)}, compression=compression)
     is_truth(path)
@@ -37,7 +37,7 @@ def test_groups_of_arrays(compression: str | None, tmp_path: Path) -> None:
     assert (describe(path).topics[0].count, describe(path).start_ns) == (N, EPOCH)
 
 
-def test_a_table_of_records(tmp_path: Path) -> None:
+def test_a_table_of_records_is_read(tmp_path: Path) -> None:
     records = np.zeros(
         N, dtype=[("time_ns", "<i8"), *((f"{s}{axis}", "<f8") for s in "ga" for axis in "xyz")]
     )
@@ -47,15 +47,15 @@ def test_a_table_of_records(tmp_path: Path) -> None:
     is_truth(write_hdf5(tmp_path / "log.h5", {"imu": records}))
 
 
-def test_the_rate_in_an_attribute(tmp_path: Path) -> None:
-    """Lying arrays, without stamps."""
+def test_an_attribute_can_contain_the_rate(tmp_path: Path) -> None:
+    """The arrays are transposed and have no stamps."""
     arrays = {"gyro": truth().gyro.T, "accel": truth().accel.T}
     is_truth(write_hdf5(tmp_path / "log.hdf5", arrays, sampling_rate=100.0))
 
 
 @pytest.mark.parametrize("table", [False, True])
-def test_matlab_7_3(table: bool, tmp_path: Path) -> None:  # noqa: FBT001 - a parameter of the case
-    """The columns of an older MAT file of the same variables; a table beside them is passed over."""
+def test_matlab_7_3_files_equal_older_mat_files(table: bool, tmp_path: Path) -> None:  # noqa: FBT001 - a parameter of the case
+    """A table next to the arrays is ignored."""
     arrays = {"imu/t": STAMPS * 1e-9, "imu/gyro": truth().gyro, "imu/accel": truth().accel, "imu/fs": 100.0}
     path = write_matlab(tmp_path / "log.mat", arrays, table=table)
     is_truth(path)
@@ -64,7 +64,7 @@ def test_matlab_7_3(table: bool, tmp_path: Path) -> None:  # noqa: FBT001 - a pa
     assert read(path, **UNITS).source.topics == read(older, **UNITS).source.topics
 
 
-def test_a_table_of_matlab_7_3_has_a_way_out(tmp_path: Path) -> None:
+def test_the_error_for_a_table_of_matlab_7_3_contains_the_solution(tmp_path: Path) -> None:
     path = write_matlab(tmp_path / "log.mat", {}, table=True)
     with pytest.raises(
         ReadError,
@@ -73,8 +73,9 @@ def test_a_table_of_matlab_7_3_has_a_way_out(tmp_path: Path) -> None:
         read(path)
 
 
-def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The message says what to install."""
+def test_without_the_extra_the_error_explains_the_installation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = write_hdf5(tmp_path / "log.h5", {"gyro": truth().gyro})
     monkeypatch.setitem(sys.modules, "h5py", None)
     for action in (read, describe):

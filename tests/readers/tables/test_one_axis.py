@@ -1,4 +1,4 @@
-"""Logs of one axis, such as a fibre-optic gyroscope's on a bench, and columns that are named twice."""
+"""Logs of one axis, such as a fibre-optic gyroscope on a test bench, and columns named twice."""
 
 import math
 from pathlib import Path
@@ -33,8 +33,10 @@ def write(folder: Path, header: str, *columns: np.ndarray[tuple[int], np.dtype[n
         ("a,b", {"columns": "t=a,gx=b", "gyro_unit": "deg/s"}, "gyro_x"),
     ],
 )
-def test_a_time_and_one_axis(header: str, options: dict[str, str], name: str, tmp_path: Path) -> None:
-    """By the header or by a columns text: the samples of that axis, in SI, and no other."""
+def test_a_log_of_a_time_and_one_axis_is_read(
+    header: str, options: dict[str, str], name: str, tmp_path: Path
+) -> None:
+    """The header or a columns text identifies the axis; samples are in SI units."""
     recording = read(write(tmp_path, header, TIMES, RATES[:, 2]), **options)  # type: ignore[arg-type]
     (series,) = recording.series
     assert series.name == name
@@ -43,8 +45,7 @@ def test_a_time_and_one_axis(header: str, options: dict[str, str], name: str, tm
 
 
 @pytest.mark.parametrize(("header", "columns"), [("gz_dps", None), ("", "gz=0")])
-def test_one_column_alone(header: str, columns: str | None, tmp_path: Path) -> None:
-    """Without a time the rate must be given."""
+def test_a_single_column_needs_a_rate(header: str, columns: str | None, tmp_path: Path) -> None:
     path = write(tmp_path, header, RATES[:, 2])
     unit = None if header else "deg/s"
     with pytest.raises(ChoiceError, match="give the sampling rate"):
@@ -53,8 +54,8 @@ def test_one_column_alone(header: str, columns: str | None, tmp_path: Path) -> N
     np.testing.assert_allclose(series.samples, RATES[:, 2] * DEG, rtol=1e-14)
 
 
-def test_two_axes_and_one(tmp_path: Path) -> None:
-    """Some axes of each sensor; those that were not found are said."""
+def test_some_axes_of_both_sensors_are_read(tmp_path: Path) -> None:
+    """A finding reports the missing axes."""
     path = write(tmp_path, "t,gx_dps,gz_dps,az_g,humidity", TIMES, *RATES.T, RATES[:, 0])
     recording = read(path)
     assert [series.name for series in recording.series] == ["gyro_x", "gyro_z", "accel_z"]
@@ -65,16 +66,16 @@ def test_two_axes_and_one(tmp_path: Path) -> None:
     assert ("axis-missing", "accel", f"Only z of the accelerometer {left}") in said
 
 
-def test_gravity_along_one_axis_is_no_proof_of_a_unit(tmp_path: Path) -> None:
-    """A lone axis may be tilted: 1.0 may be a g or not."""
+def test_a_single_acceleration_axis_needs_a_unit(tmp_path: Path) -> None:
+    """The axis can be tilted, so a mean of 1.0 does not prove the unit g."""
     path = write(tmp_path, "t,az", TIMES, RATES[:, 0] + 1)
     with pytest.raises(ChoiceError, match=r"unit of the accelerometer is unknown.*without all three axes"):
         read(path)
     assert read(path, accel_unit="g").series[0].samples.mean() == pytest.approx(9.80665, rel=1e-3)
 
 
-def test_a_single_axis_next_to_a_complete_sensor_is_left_to_the_user(tmp_path: Path) -> None:
-    """``az`` beside a gyroscope may be an azimuth: a finding shows the columns, its text reads them."""
+def test_a_single_axis_next_to_a_complete_sensor_is_reported(tmp_path: Path) -> None:
+    """``az`` next to a gyroscope can be an azimuth. The finding contains the columns text to read it."""
     path = write(tmp_path, "t,gx_dps,gy_dps,gz_dps,az", TIMES, *RATES.T, RATES[:, 0])
     recording = read(path)
     assert [series.name for series in recording.series] == ["gyro_x", "gyro_y", "gyro_z"]
@@ -86,8 +87,8 @@ def test_a_single_axis_next_to_a_complete_sensor_is_left_to_the_user(tmp_path: P
     assert read(path, columns=ready, accel_unit="m/s^2").series[3].name == "accel_z"
 
 
-def test_axes_of_mixed_units_or_numbers_are_no_log_of_single_axes(tmp_path: Path) -> None:
-    """Nobody knows which unit is wrong, or from which number the axes count."""
+def test_two_axes_with_mixed_units_or_numbers_are_refused(tmp_path: Path) -> None:
+    """It is unknown which unit is wrong, or whether the numbers start at 0 or 1."""
     for header in ("t,xRate (rad/s),yRate (deg/s)", "t,gyro_1,gyro_2"):
         with pytest.raises(ChoiceError, match="expected x, y and z of one sensor"):
             read(write(tmp_path, header, TIMES, RATES[:, 0], RATES[:, 1]))
@@ -95,7 +96,7 @@ def test_axes_of_mixed_units_or_numbers_are_no_log_of_single_axes(tmp_path: Path
 
 @pytest.mark.parametrize("columns", ["t=0,g=1+1+1", "t=0,g=1+2+1", "t=0,g=1:4,a=1:4"])
 def test_a_column_named_twice_is_refused(columns: str, tmp_path: Path) -> None:
-    """It would be scaled as often as it is named; the text in the message reads it."""
+    """It would be scaled twice. The columns text in the error works."""
     path = write(tmp_path, "", TIMES, *RATES.T)
     with pytest.raises(ChoiceError, match="column 1 is named twice; for a log of one axis give gz=1 alone"):
         read(path, columns=columns, gyro_scale=0.5, accel_scale=0.5)
@@ -103,8 +104,8 @@ def test_a_column_named_twice_is_refused(columns: str, tmp_path: Path) -> None:
     assert np.array_equal(series.samples, RATES[:, 0] * 0.5)
 
 
-def test_arrays_of_one_axis(tmp_path: Path) -> None:
-    """NPZ with a time and one rate, and a plain NPY of one column."""
+def test_arrays_of_one_axis_are_read(tmp_path: Path) -> None:
+    """Cases: NPZ with a time and one rate, and NPY with one column."""
     np.savez(tmp_path / "log.npz", t=TIMES, gz_dps=RATES[:, 2])
     (series,) = read(tmp_path / "log.npz").series
     assert series.name == "gyro_z"

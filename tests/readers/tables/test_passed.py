@@ -1,4 +1,4 @@
-"""Arrays that a child process reads in parts are those that it would read whole."""
+"""Arrays that a child process reads in parts equal those read at once."""
 
 from pathlib import Path
 from typing import Any
@@ -31,8 +31,8 @@ def through(kind: str, path: Path) -> tuple[dict[str, np.ndarray[Any, Any]], dic
 
 @pytest.mark.parametrize("chunks", [None, True, (5, 7, 3), (1, 401, 1)])
 @pytest.mark.parametrize("matlab", [False, True])
-def test_datasets(chunks: Any, tmp_path: Path, *, matlab: bool) -> None:  # noqa: ANN401 - of h5py
-    """Of any shape and chunks; MATLAB's are transposed."""
+def test_datasets_of_any_shape_are_read(chunks: Any, tmp_path: Path, *, matlab: bool) -> None:  # noqa: ANN401 - of h5py
+    """Datasets can be chunked; those of MATLAB are transposed."""
     path = tmp_path / "log.h5"
     pair = np.zeros(401, [("t", "<f8"), ("n", ">i4")])
     pair["n"] = np.arange(401)
@@ -59,8 +59,8 @@ def test_datasets(chunks: Any, tmp_path: Path, *, matlab: bool) -> None:  # noqa
         npt.assert_array_equal(found[name], expected)
 
 
-def test_parquet(tmp_path: Path) -> None:
-    """Numbers, gaps, times, texts, structures and lists, some columns at a time."""
+def test_parquet_columns_of_all_types_are_read(tmp_path: Path) -> None:
+    """Types: numbers, missing values, times, texts, structures and lists. Some columns are read at a time."""
     path = tmp_path / "log[1].parquet"
     table = pl.DataFrame(
         {
@@ -98,7 +98,7 @@ def test_parquet(tmp_path: Path) -> None:
 def test_large_arrays_are_in_temporary_files(
     limit: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, mapped: bool
 ) -> None:
-    """Their values are the same."""
+    """Their values are equal."""
     monkeypatch.setenv("IMUCAL_MEMORY", limit)
     parts = [("a", 1, [VALUES[0, :300], VALUES[0, 300:]]), ("text", 0, [np.array(["x", None])])]
     found = taken(written(parts, tmp_path / "arrays"), tmp_path / "arrays")
@@ -110,7 +110,7 @@ def test_large_arrays_are_in_temporary_files(
     assert base.flags.owndata != mapped
 
 
-def test_a_file_that_ends_is_refused(tmp_path: Path) -> None:
+def test_a_truncated_file_of_arrays_is_refused(tmp_path: Path) -> None:
     """The disk may be full."""
     found = written([("a", 0, [VALUES[0]])], tmp_path / "arrays")
     (tmp_path / "arrays").write_bytes(b"12345")
@@ -118,8 +118,8 @@ def test_a_file_that_ends_is_refused(tmp_path: Path) -> None:
         taken(found, tmp_path / "arrays")
 
 
-def test_slices_have_whole_chunks() -> None:
-    """Each chunk is unpacked once; one that is larger than a part is read whole."""
+def test_slices_consist_of_complete_chunks() -> None:
+    """Each chunk is unpacked once. A chunk larger than a part is read completely."""
     assert [(s.start, s.stop) for s in cut((250, 2), 8)] == [
         (0, 50),
         (50, 100),

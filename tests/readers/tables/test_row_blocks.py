@@ -1,4 +1,4 @@
-"""Rows of a block: what is a number, which lines are samples, and which rows are bad."""
+"""Parsing of row blocks: numbers, rows of samples, and bad rows."""
 
 import math
 
@@ -15,8 +15,8 @@ def reader(**changes: object) -> BlockReader:
     return BlockReader(layout=layout, kinds=kinds, needed=frozenset({0}), **changes)  # type: ignore[arg-type]
 
 
-def test_defaults() -> None:
-    """No limit of memory that a column could reach, and no rows expected."""
+def test_the_default_limits_are_inactive() -> None:
+    """No column reaches the default memory limit, and no number of rows is expected."""
     assert (reader().limit, reader().expected, reader().rows) == (1 << 62, 0, None)
 
 
@@ -53,22 +53,22 @@ def column(kind: Kind, *cells: str, needed: bool = True) -> list[float]:
         ("12:00:00", "stamp", [43_200 * 10**9]),
     ],
 )
-def test_numbers(cell: str, kind: Kind, values: list[float]) -> None:
-    """Whole numbers have 64 bits; there are no underscores, and no number is made of two."""
+def test_cells_are_parsed_strictly(cell: str, kind: Kind, values: list[float]) -> None:
+    """Integers have 64 bits, underscores are invalid, and two numbers are never joined."""
     found = column(kind, cell, "3")
     assert found == values
     assert {type(value) for value in found} == {float if kind == "float" else int}
 
 
-def test_a_float_among_whole_numbers() -> None:
-    """The column then has floats; damaged stamps of nanoseconds do not make it one."""
+def test_a_float_turns_an_integer_column_into_floats() -> None:
+    """Damaged stamps in ns do not."""
     assert column("integer", "1", "1.5", "2") == [1.0, 1.5, 2.0]
     stamp = 1_700_000_000_000_000_001
     assert column("integer", str(stamp), "9" * 25, "1e30", "x", str(stamp + 2)) == [stamp, stamp + 2]
 
 
 def test_an_empty_cell_of_floats_is_nan() -> None:
-    """It belongs to another sensor, if the column is not needed."""
+    """If the column is not needed, an empty cell belongs to another sensor."""
     values = column("float", "", "3", needed=False)
     assert math.isnan(values[0])
     assert values[1:] == [3]
@@ -87,8 +87,8 @@ def test_an_empty_cell_of_floats_is_nan() -> None:
         ("1", True),
     ],
 )
-def test_cells_of_rows(row: str, good: bool) -> None:  # noqa: FBT001 - of the case
-    """No more cells than names, and each that is needed."""
+def test_a_row_needs_every_required_cell(row: str, good: bool) -> None:  # noqa: FBT001 - of the case
+    """It must not have more cells than there are names."""
     blocks = reader()
     blocks.add(f"{row}\n".encode())
     assert (blocks.good, blocks.bad) == (int(good), int(not good))
@@ -104,8 +104,8 @@ def test_cells_of_rows(row: str, good: bool) -> None:  # noqa: FBT001 - of the c
         (b'"5,6",0,7', []),
     ],
 )
-def test_quotation_marks(line: bytes, values: list[int]) -> None:
-    """A delimiter between two belongs to the cell; a line with a mark too many is bad."""
+def test_a_quoted_delimiter_belongs_to_the_cell(line: bytes, values: list[int]) -> None:
+    """A line with an unpaired quotation mark is bad."""
     layout = TextLayout(width=3, rows=(), quoted=True)
     blocks = BlockReader(layout=layout, kinds={0: "integer"}, needed=frozenset({0, 2}))
     blocks.add(line + b"\n1,2,3\n")
@@ -113,7 +113,7 @@ def test_quotation_marks(line: bytes, values: list[int]) -> None:
 
 
 def test_bad_rows_are_counted_and_the_first_is_kept() -> None:
-    """Up to 120 characters; comments, blank lines and the header again are not bad."""
+    """It has up to 120 characters. Comments, blank lines and repeated headers are not bad."""
     blocks = reader()
     bad = "x" * 130
     blocks.add(f"1,2,3\n# note\n% note\n// note\n; note\n\nt, x, y\n{bad}\nworse\n2,3,4\n".encode())
@@ -129,16 +129,15 @@ def test_bad_rows_are_counted_and_the_first_is_kept() -> None:
         (0, BLANKS, [b'"IMU" ,3,4', b" IMU 8 9"]),
     ],
 )
-def test_tagged_rows(index: int, delimiter: str, found: list[bytes]) -> None:
-    """The cell at the place holds the whole text; a place of -1 is any."""
+def test_rows_are_selected_by_the_complete_tag(index: int, delimiter: str, found: list[bytes]) -> None:
+    """An index of -1 means any column."""
     pattern = row_pattern((index, "IMU"), delimiter)
     text = b"""IMU,1,2\n"IMU" ,3,4\n7,IMU,5\nIMU2,1,2\n IMU 8 9\n8,'IMU',9\n"""
     assert pattern.findall(text) == found
 
 
 @pytest.mark.parametrize(("start", "left"), [(0, [1, 2, 3, 4]), (1, [2, 3, 4]), (3, [4])])
-def test_without_the_first_lines(start: int, left: list[int]) -> None:
-    """Across blocks."""
+def test_the_first_lines_are_skipped_across_blocks(start: int, left: list[int]) -> None:
     blocks = reader()
     layout = TextLayout(width=3, rows=(), start=start)
     assert _read_blocks([b"1,2,3\n2,2,3\n", b"3,2,3\n4,2,3\n"], layout, [blocks]) == ""

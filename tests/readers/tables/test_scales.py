@@ -1,4 +1,4 @@
-"""The unit that samples show: the edges of gravity, of counts, of steps and of a gyroscope's noise."""
+"""Units inferred from samples: limits for gravity, counts, converter steps and gyroscope noise."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def still(size: float) -> FloatArray:
         (1149.5, "mg", None),
         (850.5, "mg", None),
         (849.5, None, None),
-        # Five percent about counts, which must be whole.
+        # Counts may differ by five percent and must be integers.
         (2048 * 1.049 // 1, "count", G0 / 2048),
         (2048 * 1.051 // 1, None, None),
         (2048 * 0.951 // 1, "count", G0 / 2048),
@@ -42,8 +42,8 @@ def still(size: float) -> FloatArray:
         (16384.0, "count", G0 / 16384),
     ],
 )
-def test_gravity(size: float, unit: str | None, scale: float | None) -> None:
-    """Fifteen percent about a unit, five about a count."""
+def test_gravity_identifies_the_unit(size: float, unit: str | None, scale: float | None) -> None:
+    """The tolerance is fifteen percent for units and five for counts."""
     found = infer_accel_unit(still(size))
     assert (found.unit, found.scale, found.assumed) == (unit, scale, False)
 
@@ -71,20 +71,19 @@ def test_gravity(size: float, unit: str | None, scale: float | None) -> None:
         ),
     ],
 )
-def test_reasons(size: float, reason: str) -> None:
-    """The size is said, and for large counts the usual range next to it."""
+def test_the_reason_contains_the_measured_gravity(size: float, reason: str) -> None:
+    """For large counts it also contains the usual range."""
     assert infer_accel_unit(still(size)).reason == reason
 
 
-def test_no_samples_to_infer_from() -> None:
-    """Without finite samples no unit is taken."""
+def test_without_finite_samples_no_unit_is_inferred() -> None:
     nothing = np.zeros((0, 3))
     assert infer_accel_unit(nothing).reason == "there are no finite samples"
     assert infer_gyro_unit(nothing, rate_hz=None, accel_unit=None).reason == "there are no finite samples"
 
 
-def test_known_steps() -> None:
-    """In deg/s per count, each range twice the one before."""
+def test_known_steps_double_from_range_to_range() -> None:
+    """They are in deg/s per count."""
     invensense = [1 / 262, 1 / 131, 2 / 131, 4 / 131, 8 / 131]
     bosch = [125 * 2**k / 32768 for k in range(6)]
     st = [0.004375, 0.00875, 0.0175, 0.035, 0.07, 0.14]
@@ -107,14 +106,13 @@ def turning(step: float, n: int = 40) -> FloatArray:
         (0.05, None),
     ],
 )
-def test_a_converters_step(step: float, unit: str | None) -> None:
-    """One in a thousand about a known one."""
+def test_a_known_converter_step_identifies_the_unit(step: float, unit: str | None) -> None:
+    """The tolerance is one in a thousand."""
     found = infer_gyro_unit(turning(step), rate_hz=None, accel_unit=None)
     assert (found.unit, found.assumed) == (unit, False)
 
 
-def test_the_reason_of_a_step() -> None:
-    """The step and the known one."""
+def test_the_reason_contains_the_found_and_the_known_step() -> None:
     reason = "the rates come in steps of 0.00122173, a converter's 0.07 deg/s"
     assert infer_gyro_unit(turning(np.radians(0.07)), rate_hz=None, accel_unit=None).reason == reason
 
@@ -127,29 +125,29 @@ def axis(*values: float) -> FloatArray:
     ("rows", "step"),
     [
         (axis(0.0, 0.5, 1.0, 2.5), 0.5),
-        # Two values have one difference, which is no step.
+        # Two values have only one difference, which is not enough.
         (axis(0.0, 0.5), None),
         (axis(0.0, 0.5, 1.0), 0.5),
         (np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 1.0], [1.0, 0.5, 1.0]]), 0.5),
-        # Values that differ by rounding alone are one.
+        # Values that differ only by rounding are equal.
         (axis(0.0, 0.5, 0.5000001, 1.0), 0.49999995),
         (axis(0.0, 1e-7, 1.0, 2.0), 0.99999995),
-        # One of forty differences may be no multiple, one of twenty not.
+        # One of forty differences may be no multiple, one of twenty may not.
         (axis(*(0.5 * k for k in range(1, 60)), 29.5 + 0.8), 0.5),
         (axis(*(0.5 * k for k in range(1, 30)), 14.5 + 0.8), None),
-        # Axes differ by two percent at most.
+        # The steps of the axes may differ by two percent.
         (np.array([0.0, 1.0, 2.0, 3.0])[:, None] * [1.0, 1.019, 1.0], 1.019 / 3 + 2 / 3),
         (np.array([0.0, 1.0, 2.0, 3.0])[:, None] * [1.0, 1.021, 1.0], None),
     ],
 )
-def test_steps(rows: FloatArray, step: float | None) -> None:
-    """All values are multiples of it, on every axis."""
+def test_all_values_are_multiples_of_the_converter_step(rows: FloatArray, step: float | None) -> None:
+    """The step must hold for every axis."""
     found = converter_step(rows)
     assert found == (None if step is None else pytest.approx(step, rel=1e-6))
 
 
-def test_white_noise() -> None:
-    """From the quietest axis, of a hundred samples or more, with a rate."""
+def test_white_noise_is_estimated_from_the_quietest_axis() -> None:
+    """The estimate needs a hundred samples and a rate."""
     rows = np.array([[(-1.0) ** k * size for size in (1.0, 2.0, 0.5)] for k in range(100)])
     assert _white_noise(rows, 4.0) == pytest.approx(1.0 / 0.6745 / np.sqrt(2) / 2)
     assert _white_noise(rows[:99], 4.0) is None
@@ -169,8 +167,8 @@ def test_white_noise() -> None:
         ),
     ],
 )
-def test_rates_and_noise_of_a_gyroscope(rate: float, swing: float, reason: str) -> None:
-    """Half a radian per second, and 5e-3 rad/s/sqrt(Hz), are the most."""
+def test_rate_and_noise_of_a_gyroscope_are_limited(rate: float, swing: float, reason: str) -> None:
+    """The limits are 0.5 rad/s and 5e-3 rad/s/sqrt(Hz)."""
     rows = np.array([[rate, (-1.0) ** k * swing, (-1.0) ** k * swing] for k in range(100)])
     rows[:, 0] += np.array([(-1.0) ** k * swing for k in range(100)])
     found = infer_gyro_unit(rows, rate_hz=1.0, accel_unit="m/s^2", still=True)
@@ -178,15 +176,15 @@ def test_rates_and_noise_of_a_gyroscope(rate: float, swing: float, reason: str) 
     assert found.assumed == (found.unit == "rad/s") == reason.startswith("the log does not contain it")
 
 
-def test_whole_rates_are_counts_unless_all_are_zero() -> None:
-    """Zeros say nothing of counts."""
+def test_integer_rates_are_counts_unless_all_are_zero() -> None:
+    """Zeros do not show whether the rates are counts."""
     counts = infer_gyro_unit(np.ones((9, 3)), rate_hz=None, accel_unit="m/s^2")
     assert counts.reason == "the rates are integer counts of an unknown scale"
     assert infer_gyro_unit(np.zeros((9, 3)), rate_hz=None, accel_unit="m/s^2").unit == "rad/s"
 
 
-def test_asample_rows_a_long_log() -> None:
-    """Twenty thousand rows from four places, the last at the end; rows that are not finite left out."""
+def test_rows_are_sampled_from_four_places_of_a_long_log() -> None:
+    """The limit is 20 000 rows, the last part is at the end, and rows that are not finite are omitted."""
     place = np.arange(40_000.0)
     found = sample_rows([place, place, place])
     assert found.shape == (20_000, 3)

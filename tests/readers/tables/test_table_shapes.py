@@ -1,4 +1,4 @@
-"""What rows without names must look like to be those of a known logger, and what columns arrays are."""
+"""Recognition of rows without names from known loggers, and columns of arrays."""
 
 import numpy as np
 import pytest
@@ -19,8 +19,8 @@ from imucal.readers.tables.typed_table import _of_array
         (["1", "2", "imu", "x"], 40, False),
     ],
 )
-def test_rows_of_ros2(start: list[str], width: int, fits: bool) -> None:  # noqa: FBT001 - of the case
-    """Seconds, nanoseconds, the name of a frame, then numbers only."""
+def test_rows_of_ros2_topic_echo_are_recognised(start: list[str], width: int, fits: bool) -> None:  # noqa: FBT001 - of the case
+    """Such a row has seconds, nanoseconds, a frame name, and then only numbers."""
     row = (*start, *["0.5"] * (width - len(start)))
     assert _is_ros2(TextLayout(width=width, rows=(row,))) == fits
 
@@ -43,8 +43,7 @@ def test_rows_of_ros2(start: list[str], width: int, fits: bool) -> None:  # noqa
         ((), []),
     ],
 )
-def test_columns_of_arrays(shape: tuple[int, ...], names: list[str]) -> None:
-    """The longer side goes along the samples."""
+def test_columns_of_an_array_run_along_its_longer_dimension(shape: tuple[int, ...], names: list[str]) -> None:
     columns = _of_array("a", np.arange(np.prod(shape, dtype=int)).reshape(shape))
     assert [column.name for column in columns] == names
     assert {column.values.size for column in columns} <= {max(shape, default=0)}

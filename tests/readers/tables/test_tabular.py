@@ -1,4 +1,4 @@
-"""The temperature of a table: degrees in which electronics work, anything else is left out."""
+"""Temperatures of tables: values outside the range of electronics are ignored."""
 
 from pathlib import Path
 
@@ -12,8 +12,12 @@ from imucal.readers.tables.text_table import read
     ("degrees", "taken"),
     [(25.0, True), (200.0, True), (200.5, False), (300.0, False), (-80.0, True), (-80.5, False)],
 )
-def test_degrees(degrees: float, taken: bool, tmp_path: Path) -> None:  # noqa: FBT001 - of the case
-    """From -80 to 200 degrees Celsius by the median; a column beyond is left out, and it is said."""
+def test_a_median_temperature_outside_the_range_is_ignored(
+    degrees: float,
+    taken: bool,  # noqa: FBT001 - of the case
+    tmp_path: Path,
+) -> None:
+    """The range is -80 to 200 degrees Celsius. A finding reports an ignored column."""
     path = tmp_path / "log.csv"
     rows = [f"{i * 10},{i % 3 * 0.001},0.002,0.003,{degrees}" for i in range(50)]
     path.write_text("\n".join(["time_ms,gx_rad/s,gy_rad/s,gz_rad/s,temperature", *rows]), encoding="utf-8")

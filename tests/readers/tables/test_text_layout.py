@@ -1,4 +1,4 @@
-"""What is said of a text whose layout or columns are not clear."""
+"""Errors about texts with an ambiguous layout or ambiguous columns."""
 
 import re
 
@@ -31,7 +31,7 @@ from imucal.readers.tables.text_table import lay_out
         ),
     ],
 )
-def test_errors(lines: list[str], error: type[Exception], text: str) -> None:
-    """What was found, what was expected and what to do."""
+def test_an_ambiguous_layout_is_refused(lines: list[str], error: type[Exception], text: str) -> None:
+    """The error reports the content, the expected form and what to do."""
     with pytest.raises(error, match=f"^{re.escape(text)}$"):
         lay_out("log.csv", lines, ReadOptions())

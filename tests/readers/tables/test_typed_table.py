@@ -1,4 +1,4 @@
-"""Parquet, NPZ, NPY and MAT: the samples and stamps of the arrays, by the rules of text tables."""
+"""Parquet, NPZ, NPY and MAT: samples and stamps of arrays follow the rules of text tables."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -43,7 +43,7 @@ def parquet_lists(path: Path) -> None:
 
 
 def parquet_arrays(path: Path) -> None:
-    """Write lists of a fixed length, a type of its own."""
+    """Write lists of a fixed length, which are a separate type."""
     table = pl.DataFrame({"timestamp": STAMPS, "gyro": GYRO.tolist(), "accel": ACCEL.tolist()})
     table.with_columns(pl.col("gyro", "accel").list.to_array(3)).write_parquet(path)
 
@@ -115,8 +115,8 @@ def check(recording: Recording) -> None:
 
 
 @pytest.mark.parametrize(("name", "writer"), WRITERS, ids=[name for name, _ in WRITERS])
-def test_table(name: str, writer: Callable[[Path], None], tmp_path: Path) -> None:
-    """Samples are bit-equal, stamps are integers, through the facade too."""
+def test_samples_of_typed_tables_are_exact(name: str, writer: Callable[[Path], None], tmp_path: Path) -> None:
+    """Stamps are integers. The result is the same through `imucal.read`."""
     path = tmp_path / name
     writer(path)
     recording = read(path, ReadOptions())
@@ -129,8 +129,8 @@ def test_table(name: str, writer: Callable[[Path], None], tmp_path: Path) -> Non
     assert (contents.topics[0].count, contents.start_ns) == (N, EPOCH)
 
 
-def test_navego(tmp_path: Path) -> None:
-    """NaveGo's structure: fb in m/s^2, wb in rad/s, t in s, freq in Hz."""
+def test_the_structure_of_navego_is_read(tmp_path: Path) -> None:
+    """It has fb in m/s^2, wb in rad/s, t in s and freq in Hz."""
     path = tmp_path / "imu.mat"
     scipy.io.savemat(
         path, {"imu": {"t": np.array(truth().ns) * 1e-9, "fb": ACCEL, "wb": GYRO, "freq": 100.0}}
@@ -140,8 +140,8 @@ def test_navego(tmp_path: Path) -> None:
     assert recording.findings == ()
 
 
-def test_rate_next_to_the_samples(tmp_path: Path) -> None:
-    """Without stamps the file's own rate is used, and named as the source."""
+def test_a_rate_next_to_the_samples_is_used(tmp_path: Path) -> None:
+    """The arrays have no stamps; the decision contains the source."""
     path = tmp_path / "log.npz"
     np.savez(path, gyro=GYRO, accel=ACCEL, fs=250.0)
     recording = read(path, ReadOptions())
@@ -150,8 +150,8 @@ def test_rate_next_to_the_samples(tmp_path: Path) -> None:
     assert recording.series[0].rate_hz == 250.0
 
 
-def test_two_rates(tmp_path: Path) -> None:
-    """Arrays of two lengths are two tables: each sensor has its own clock."""
+def test_arrays_of_two_lengths_are_two_tables(tmp_path: Path) -> None:
+    """Each sensor has its own clock."""
     path = tmp_path / "log.npz"
     np.savez(path, gyro_t=STAMPS, gyro=GYRO, accel_t=STAMPS[::2], accel=ACCEL[::2])
     recording = read(path, ReadOptions(gyro_unit="rad/s"))
@@ -159,8 +159,7 @@ def test_two_rates(tmp_path: Path) -> None:
     npt.assert_array_equal(recording.axis("accelerometer", "z").samples, ACCEL[::2, 2])
 
 
-def test_matrix_without_names(tmp_path: Path) -> None:
-    """A bare matrix has columns by place only: the user says which are which."""
+def test_a_matrix_without_names_needs_a_columns_text(tmp_path: Path) -> None:
     path = tmp_path / "log.npy"
     np.save(path, np.column_stack([STAMPS * 1e-9, GYRO, ACCEL]))
     with pytest.raises(ChoiceError) as caught:
@@ -173,8 +172,8 @@ def test_matrix_without_names(tmp_path: Path) -> None:
     check(read(path, ReadOptions(columns="t=0,g=1:4,a=4:7")))
 
 
-def test_gaps_in_parquet(tmp_path: Path) -> None:
-    """Empty cells of a sensor are rows of another topic."""
+def test_rows_with_empty_cells_are_skipped(tmp_path: Path) -> None:
+    """They belong to another topic."""
     path = tmp_path / "log.parquet"
     table = pl.DataFrame(named())
     other = pl.DataFrame({"timestamp": STAMPS + 3_000_000})
@@ -194,8 +193,8 @@ def test_gaps_in_parquet(tmp_path: Path) -> None:
         ("log.foo", b"neither", "first bytes 6e 65 69 74 68 65 72; expected Parquet, HDF5, NPZ, NPY or MAT"),
     ],
 )
-def test_broken(name: str, content: bytes, message: str, tmp_path: Path) -> None:
-    """A damaged file is refused with its name, never with a traceback."""
+def test_a_damaged_typed_table_is_refused(name: str, content: bytes, message: str, tmp_path: Path) -> None:
+    """The error contains the file name, and there is no traceback."""
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(ReadError) as caught:
@@ -204,7 +203,7 @@ def test_broken(name: str, content: bytes, message: str, tmp_path: Path) -> None
 
 
 def test_pickled_objects_are_not_loaded(tmp_path: Path) -> None:
-    """An array of objects could run code when it is loaded."""
+    """Loading an array of objects could run code."""
     path = tmp_path / "log.npz"
     np.savez(path, gyro=np.array([{"x": 1}] * 3, dtype=object))
     with pytest.raises(
@@ -214,8 +213,7 @@ def test_pickled_objects_are_not_loaded(tmp_path: Path) -> None:
         read(path, ReadOptions())
 
 
-def test_no_samples(tmp_path: Path) -> None:
-    """Single numbers are no samples."""
+def test_a_file_of_single_numbers_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "log.npz"
     np.savez(path, a=1.0, b=2.0)
     with pytest.raises(ReadError) as caught:
@@ -227,8 +225,10 @@ def test_no_samples(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "writer"), WRITERS, ids=[name for name, _ in WRITERS])
-def test_damage(name: str, writer: Callable[[Path], None], tmp_path: Path) -> None:
-    """Flipped, cut and zeroed files are read or refused with a message."""
+def test_a_randomly_damaged_table_is_read_or_refused_with_a_message(
+    name: str, writer: Callable[[Path], None], tmp_path: Path
+) -> None:
+    """Damage: flipped, cut and zeroed bytes."""
     path = tmp_path / name
     writer(path)
     data = path.read_bytes()

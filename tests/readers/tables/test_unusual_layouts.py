@@ -1,4 +1,4 @@
-"""Layouts of public data sets: they are read, or the advice in the error works when it is typed."""
+"""Layouts of public data sets are read, or the advice in the error works."""
 
 import json
 import re
@@ -98,7 +98,7 @@ def test_two_separators_become_one(tmp_path: Path) -> None:
     is_truth(read(tmp_path / "log.csv", columns="t=0,g=1:4,a=4:7", **SI))
 
 
-def test_decimal_commas_are_no_second_separator(tmp_path: Path) -> None:
+def test_decimal_commas_are_not_a_second_separator(tmp_path: Path) -> None:
     """A table of a German spreadsheet without a header is read with its columns."""
     columns = [[f"{value:.9f}".replace(".", ",") for value in column] for column in (TIME, *GYRO.T, *ACCEL.T)]
     path = write(tmp_path / "log.csv", *columns, separator=";")
@@ -141,8 +141,8 @@ def test_mdeg_is_the_unit_of_a_gyroscope(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("scale", "unit"), [(1.0, "m/s^2"), (9.80665, "g")])
-def test_uncalibrated_samples_of_sensor_logger_may_be_in_g(scale: float, unit: str, tmp_path: Path) -> None:
-    """Gravity decides."""
+def test_gravity_identifies_the_unit_of_uncalibrated_samples(scale: float, unit: str, tmp_path: Path) -> None:
+    """Sensor Logger can write them in g or in m/s^2."""
     header = "time,seconds_elapsed,z,y,x"
     stamps = [f"{1_700_000_000_000_000_000 + k * 10_000_000}" for k in range(N)]
     path = write(
@@ -163,7 +163,7 @@ def test_uncalibrated_samples_of_sensor_logger_may_be_in_g(scale: float, unit: s
     ],
     ids=["at rest", "slow", "moved", "no accelerometer"],
 )
-def test_deg_per_s_is_likely_only_at_rest(
+def test_deg_per_s_is_suggested_only_at_rest(
     rate_hz: float, accel: FloatArray | None, wanted: str, tmp_path: Path
 ) -> None:
     """Motion at a low rate looks like white noise, and only a still accelerometer shows rest."""
@@ -175,7 +175,7 @@ def test_deg_per_s_is_likely_only_at_rest(
 
 
 def test_a_noise_of_tens_of_degrees_suggests_mdeg(tmp_path: Path) -> None:
-    """It is too large for deg/s, too."""
+    """Such a noise is too large even for deg/s."""
     path = write(
         tmp_path / "log.csv", TIME, *(6e4 * GYRO).T, *ACCEL.T, header="t (s),gx,gy,gz,ax (g),ay (g),az (g)"
     )

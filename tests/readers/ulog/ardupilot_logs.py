@@ -1,4 +1,4 @@
-"""Simulated logs of ArduPilot: ``.bin`` byte by byte, and telemetry by pymavlink's own writer."""
+"""Simulated ArduPilot logs: ``.bin`` built byte by byte, and telemetry written by pymavlink."""
 
 import io
 import struct
@@ -10,7 +10,7 @@ from imucal.units import G0
 
 __all__ = ["N", "truth", "write_dataflash", "write_telemetry"]
 
-#: Samples, at 100 Hz.
+#: Number of samples, at 100 Hz.
 N = 300
 
 _IMU = ("IMU", "QBfffffffB", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,T,Health")
@@ -18,7 +18,7 @@ _SIZES = {"Q": 8, "B": 1, "f": 4, "n": 4, "N": 16, "Z": 64, "I": 4, "h": 2}
 
 
 def truth() -> tuple[np.ndarray, np.ndarray]:
-    """Return rates in rad/s and forces in m/s², shape (N, 3), as 32 bits hold them."""
+    """Return rates in rad/s and forces in m/s², shape (N, 3), rounded to 32 bits."""
     rng = np.random.default_rng(12)
     gyro = rng.normal(scale=2e-3, size=(N, 3)) + np.array([0.01, -0.02, 0.005])
     accel = rng.normal(scale=2e-2, size=(N, 3)) + np.array([0.1, -0.2, G0])
@@ -32,7 +32,7 @@ def _format(number: int, name: str, form: str, columns: str) -> bytes:
 
 
 def write_dataflash(path: Path, *, instances: int = 1, batch: bool = False) -> Path:
-    """Write a log of IMU messages; or a batch log of GYR, and ACC at half the rate."""
+    """Write a log of IMU messages, or a batch log of GYR and, at half the rate, ACC."""
     gyro, accel = truth()
     data = _format(0x80, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
     data += _format(0x81, *_IMU)
@@ -56,7 +56,7 @@ def write_dataflash(path: Path, *, instances: int = 1, batch: bool = False) -> P
 
 
 def write_telemetry(path: Path) -> Path:
-    """Write what a vehicle sent: a heartbeat a second, and RAW_IMU in mg and mrad/s at 100 Hz."""
+    """Write the telemetry of a vehicle: a heartbeat every second, and RAW_IMU in mg and mrad/s at 100 Hz."""
     from pymavlink.dialects.v20 import ardupilotmega
 
     gyro, accel = truth()

@@ -1,4 +1,4 @@
-"""PX4 ULog: the samples of pyulog, SI, on the clock of the flight controller."""
+"""PX4 ULog: samples equal those of pyulog, in SI units, on the clock of the flight controller."""
 
 import struct
 from pathlib import Path
@@ -20,7 +20,7 @@ LOGS = ("mcap_test_ulog", "pyulog_sample", "pyulog_sample_px4_events", "pyulog_s
 
 
 class Writer:
-    """A ULog file of given messages. Source: docs.px4.io, ULog file format."""
+    """Write a ULog file of given messages. Source: docs.px4.io, ULog file format."""
 
     def __init__(self) -> None:
         self.data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1000)
@@ -83,8 +83,8 @@ def two_sensors(path: Path, *, instances: int = 1) -> Path:
 
 
 @pytest.mark.parametrize("name", LOGS)
-def test_samples_are_those_of_pyulog(name: str) -> None:
-    """Every sample of sensor_combined, bit by bit."""
+def test_samples_equal_those_of_pyulog(name: str) -> None:
+    """Every sample of sensor_combined is compared bit by bit."""
     path = real_data("formats", f"{name}.ulg")
     recording = read(path, ReadOptions())
     (message,) = [entry for entry in ULog(str(path)).data_list if entry.name == "sensor_combined"]
@@ -96,8 +96,8 @@ def test_samples_are_those_of_pyulog(name: str) -> None:
     assert recording.series[0].clock.start_ns == int(message.data["timestamp"][0]) * 1000
 
 
-def test_each_sensor_has_its_clock(tmp_path: Path) -> None:
-    """Gyroscope and accelerometer at their own rates, by the time of sampling; the temperature too."""
+def test_each_sensor_has_its_own_clock(tmp_path: Path) -> None:
+    """The clock uses the time of sampling; the temperature has a clock too."""
     recording = read_any(two_sensors(tmp_path / "log.ulg"))
     gyro, accel = recording.axis("gyroscope", "y"), recording.axis("accelerometer", "z")
     npt.assert_array_equal(gyro.samples, vectors(400, 0)[:, 1])
@@ -108,8 +108,8 @@ def test_each_sensor_has_its_clock(tmp_path: Path) -> None:
     npt.assert_array_equal(recording.temperature.samples, 30.0)
 
 
-def test_several_sensors_are_for_the_user_to_choose(tmp_path: Path) -> None:
-    """Two gyroscopes at the full rate: never a silent pick."""
+def test_several_sensors_require_a_choice(tmp_path: Path) -> None:
+    """Two gyroscopes have the full rate, and none is chosen silently."""
     path = two_sensors(tmp_path / "log.ulg", instances=2)
     with pytest.raises(ChoiceError) as caught:
         read(path, ReadOptions())
@@ -125,8 +125,8 @@ def test_several_sensors_are_for_the_user_to_choose(tmp_path: Path) -> None:
     npt.assert_array_equal(recording.axis("accelerometer", "x").samples, vectors(400, 10)[:200, 0])
 
 
-def test_fifo(tmp_path: Path) -> None:
-    """Each sample of a buffer, at its own time: 8 kHz in messages of 8 samples, one of 5."""
+def test_samples_of_a_fifo_have_their_own_times(tmp_path: Path) -> None:
+    """The rate is 8 kHz, in messages of 8 samples, one of 5."""
     log = Writer()
     log.format("sensor_gyro_fifo", FIFO)
     log.add("sensor_gyro_fifo")
@@ -149,7 +149,7 @@ def test_fifo(tmp_path: Path) -> None:
 
 
 def test_integrals_become_rates(tmp_path: Path) -> None:
-    """vehicle_imu: an angle over its own time; an angle over no time is no sample."""
+    """vehicle_imu contains an angle and its duration; a duration of zero gives no sample."""
     log = Writer()
     log.format(
         "vehicle_imu",
@@ -173,8 +173,8 @@ def test_integrals_become_rates(tmp_path: Path) -> None:
     assert recording.axis("gyroscope", "x").clock.missing == 1
 
 
-def test_dropouts_are_found(tmp_path: Path) -> None:
-    """The logger's own note of what it lost."""
+def test_dropouts_are_reported(tmp_path: Path) -> None:
+    """The logger itself records what it lost."""
     path = two_sensors(tmp_path / "log.ulg")
     log = Writer()
     log.data = path.read_bytes()
@@ -183,8 +183,8 @@ def test_dropouts_are_found(tmp_path: Path) -> None:
     assert finding.text == "The logger reports a dropout of 0.25 s in all: its card was too slow."
 
 
-def test_unknown_topic() -> None:
-    """The message lists what there is."""
+def test_an_unknown_topic_is_refused() -> None:
+    """The error lists the topics."""
     path = real_data("formats", "pyulog_sample.ulg")
     with pytest.raises(ChoiceError) as caught:
         read(path, ReadOptions(topics=("sensor_gyro",)))
@@ -194,8 +194,8 @@ def test_unknown_topic() -> None:
     )
 
 
-def test_no_imu(tmp_path: Path) -> None:
-    """A log of other things says which messages are needed."""
+def test_a_log_without_imu_is_refused(tmp_path: Path) -> None:
+    """The error lists the required messages."""
     log = Writer()
     log.format("battery", "uint64_t timestamp;float v;")
     log.add("battery")
@@ -208,16 +208,15 @@ def test_no_imu(tmp_path: Path) -> None:
     )
 
 
-def test_not_a_log(tmp_path: Path) -> None:
-    """Other bytes are refused without a traceback."""
+def test_other_bytes_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "log.ulg"
     path.write_bytes(b"ULog\x01\x12\x36" + bytes(100))
     with pytest.raises(ReadError, match="not a readable ULog file"):
         read(path, ReadOptions())
 
 
-def test_damage(tmp_path: Path) -> None:
-    """Cut, flipped and zeroed logs are read or refused with a message."""
+def test_a_damaged_log_is_read_or_refused_with_a_message(tmp_path: Path) -> None:
+    """Damage: the log is cut, or has flipped or zeroed bytes."""
     data = two_sensors(tmp_path / "whole.ulg").read_bytes()
     path = tmp_path / "log.ulg"
     for seed in range(60):

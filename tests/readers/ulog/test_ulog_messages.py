@@ -1,4 +1,4 @@
-"""The samples of a message instance: its counts and rates, and what a damaged stamp is."""
+"""Samples of message instances in a ULog: counts, rates and damaged stamps."""
 
 import struct
 from collections.abc import Mapping, Sequence
@@ -67,12 +67,12 @@ def contents(path: Path, stamps: Sequence[int]) -> TopicContents:
         ((5, 7), 2, 2e-6, 500_000.0),
         (every(10_000, 51), 51, 0.5, 100.0),
         (every(1_000_000, 3), 3, 2.0, 1.0),
-        # A damaged stamp is no sample.
+        # A damaged stamp is not counted.
         ((5, 1_000_005, LATEST), 2, 1.0, 1.0),
         ((5, LATEST - 1), 2, (LATEST - 6) * 1e-6, 1e6 / (LATEST - 6)),
     ],
 )
-def test_duration_and_rate(
+def test_valid_stamps_give_duration_and_rate(
     stamps: Sequence[int], count: int, duration: float, rate: float | None, tmp_path: Path
 ) -> None:
     found = contents(tmp_path, stamps)
@@ -88,7 +88,12 @@ def test_duration_and_rate(
         (True, "sensor_gyro:2", {"sensor_gyro:2"}),
     ],
 )
-def test_names(several: bool, name: str, answers: set[str], tmp_path: Path) -> None:  # noqa: FBT001
+def test_an_instance_is_named_by_message_and_number(
+    several: bool,  # noqa: FBT001
+    name: str,
+    answers: set[str],
+    tmp_path: Path,
+) -> None:
     """The number is optional if there is only one instance."""
     stamps = every(1000, 50).tolist()
     messages = {("sensor_gyro", multi): stamps for multi in ([1, 2] if several else [2])}
@@ -112,7 +117,7 @@ def test_a_stamp_beyond_any_board_is_damaged() -> None:
 
 
 @pytest.mark.parametrize(("taken", "stamps"), [((1, 2), (1000, 2000)), ((0, 2), (11_000, 12_000))])
-def test_the_time_of_sampling_counts_where_all_have_it(
+def test_the_time_of_sampling_is_used_if_all_samples_have_it(
     taken: tuple[int, ...], stamps: tuple[int, ...]
 ) -> None:
     axes: dict[str, Any] = {axis: [0.0, 1.0] for axis in "xyz"}
@@ -122,7 +127,7 @@ def test_the_time_of_sampling_counts_where_all_have_it(
     assert "temperature" not in found
 
 
-def test_integrals_over_no_time_have_no_rate() -> None:
+def test_integrals_over_zero_time_have_no_rate() -> None:
     fields: dict[str, Any] = {f"delta_angle[{i}]": [0.5 + i, 1.0 + i, 1.5 + i] for i in range(3)}
     fields |= {f"delta_velocity[{i}]": [2.0 + i] * 3 for i in range(3)}
     over = {"delta_angle_dt": [1, 0, 1], "delta_velocity_dt": [250_000] * 3}
@@ -132,8 +137,8 @@ def test_integrals_over_no_time_have_no_rate() -> None:
     npt.assert_allclose(found["accelerometer_m_s2[2]"], [16, 16], rtol=1e-12)
 
 
-def test_a_fifo_holds_no_more_than_its_depth() -> None:
-    # Full, empty, one sample, too many, and steps that are no number: only good buffers are read.
+def test_a_fifo_with_more_samples_than_its_depth_is_damaged() -> None:
+    # Cases: full, empty, one sample, too many samples, and invalid steps; only valid buffers are read.
     axes: dict[str, Any] = {
         f"{axis}[{i}]": [10 * i + k for k in range(5)] for axis in "xyz" for i in range(2)
     }
@@ -197,7 +202,7 @@ def test_one_instance_of_each_sensor_is_a_pair(tmp_path: Path) -> None:
     assert names(tmp_path, both, topic=["sensor_accel", "sensor_gyro"]) == ("sensor_gyro", "sensor_accel")
 
 
-def test_what_is_asked_for_must_be_there(tmp_path: Path) -> None:
+def test_a_requested_topic_must_exist(tmp_path: Path) -> None:
     single = {"sensor_gyro": every(1000, 50)}
     assert names(tmp_path, single, topic="/sensor_gyro") == ("sensor_gyro",)
     with pytest.raises(
@@ -213,7 +218,7 @@ def test_what_is_asked_for_must_be_there(tmp_path: Path) -> None:
         ((250, 1000), "The logger reports 2 dropouts of 1.25 s in all: its card was too slow."),
     ],
 )
-def test_dropouts_are_reported(durations: tuple[int, ...], text: str) -> None:
+def test_dropouts_are_an_info_with_advice(durations: tuple[int, ...], text: str) -> None:
     (finding,) = log_findings(FlightLog({}, damaged=False, dropouts=list(durations)))
     assert (finding.level, finding.code, finding.text) == ("info", "dropouts", text)
     assert finding.advice == "Use a faster card or log fewer topics."
@@ -232,7 +237,7 @@ def combined(path: Path, **options: Any) -> Recording:  # noqa: ANN401 - options
 
 
 def test_a_flight_log_has_one_clock(tmp_path: Path) -> None:
-    """Its stamps are complete, and there is no time of recording."""
+    """Its stamps are complete, and there is no recording time."""
     first = combined(tmp_path, time="header").series
     assert {series.clock.source for series in first} == {"timestamp of sensor_combined"}
     with pytest.raises(
@@ -252,8 +257,8 @@ def test_sensors_with_equal_stamps_share_a_clock(tmp_path: Path) -> None:
     npt.assert_array_equal(accel.samples, np.sin(np.arange(60) * 5).astype(np.float32))
 
 
-def test_a_sensor_without_samples(tmp_path: Path) -> None:
-    """Its integrals are over no time: the other sensor is read."""
+def test_a_sensor_without_samples_is_left_out(tmp_path: Path) -> None:
+    """Its integrals have a duration of zero. The other sensor is read."""
     log = Writer()
     log.format("vehicle_imu", INTEGRALS)
     log.add("vehicle_imu")
