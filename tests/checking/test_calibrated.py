@@ -1,4 +1,4 @@
-"""Limits of a calibration: by the whole interval of a parameter's size, like those of noise."""
+"""Limits of a calibration: the complete interval of a parameter's magnitude decides, as for noise."""
 
 import json
 from pathlib import Path
@@ -29,7 +29,7 @@ def found() -> Calibration:
 
 @pytest.fixture
 def document(found: Calibration) -> Document:
-    """Return its JSON document, which a test may change."""
+    """Return its JSON document, which tests can modify."""
     copy: Document = json.loads(json.dumps(plain(to_document(found))))
     return copy
 
@@ -50,7 +50,7 @@ def judged(document: Document, limits: str) -> CheckResult:
         ((-2.3, -0.1, 2.1), "undecided", "|scale_x| is 0.1 [0, 2.3] %; the interval contains the largest"),
     ],
 )
-def test_the_interval_of_the_size_decides(
+def test_the_interval_of_the_magnitude_decides(
     document: Document, interval: tuple[float, float, float], verdict: str, text: str
 ) -> None:
     """A scale error of -2.5 % is as bad as one of 2.5 %."""
@@ -63,8 +63,8 @@ def test_the_interval_of_the_size_decides(
     assert [other.subject for other in others] == ["|scale_y|", "|scale_z|", "findings"]
 
 
-def test_every_kind_has_its_rows_and_units(found: Calibration, document: Document) -> None:
-    """Values of calibration.json in the unit of the limit; the residual has no interval."""
+def test_every_limit_has_rows_in_its_unit(found: Calibration, document: Document) -> None:
+    """They contain the values of calibration.json in that unit; the residual has no interval."""
     limits = """
         [calibration.accelerometer]
         misalignment = { max = 1, unit = "deg" }
@@ -95,8 +95,8 @@ def test_every_kind_has_its_rows_and_units(found: Calibration, document: Documen
     assert scale.value == pytest.approx(1e4 * abs(document["gyroscope"]["parameters"]["scale_x"]["value"]))
 
 
-def test_what_the_log_does_not_determine_is_undecided(document: Document) -> None:
-    """A missing gyroscope fails, so that nothing passes by its absence; raw counts are an error."""
+def test_a_parameter_that_the_log_does_not_determine_is_undecided(document: Document) -> None:
+    """A missing gyroscope fails, so that its absence can't pass; raw counts are an error."""
     unknown = {"low": None, "value": None, "high": None, "status": "not-observable"}
     document["accelerometer"]["parameters"]["scale_x"] |= unknown
     row = judged(document, SCALE).rows[0]
@@ -114,8 +114,8 @@ def test_what_the_log_does_not_determine_is_undecided(document: Document) -> Non
         judged(document, SCALE)
 
 
-def test_findings_are_judged_too(document: Document) -> None:
-    """By level and code, as those of noise."""
+def test_findings_of_a_calibration_are_judged(document: Document) -> None:
+    """Level and code decide, as for noise."""
     finding = {"level": "warning", "code": "warming", "axis": None, "text": "It warms up.", "advice": ""}
     document["findings"] = [finding]
     assert judged(document, SCALE).passed
@@ -147,14 +147,14 @@ def test_findings_are_judged_too(document: Document) -> None:
     ],
 )
 def test_wrong_limits_of_a_calibration_are_refused(text: str, message: str) -> None:
-    """With the place and the nearest known key."""
+    """The error contains the place and the nearest known key."""
     with pytest.raises(LimitsError) as error:
         parse_limits(text, name="l.toml")
     assert message in str(error.value)
 
 
-def test_limits_of_the_other_kind_are_refused(document: Document) -> None:
-    """A file with both kinds serves both."""
+def test_limits_of_noise_are_refused_for_a_calibration(document: Document) -> None:
+    """A file with both kinds of limits works for both."""
     noise = '[gyroscope]\nN = { max = 1, unit = "deg/sqrt(h)" }\n'
     with pytest.raises(
         LimitsError, match=r"poses.mcap: this is a calibration, and the limits are for noise;"
@@ -166,8 +166,8 @@ def test_limits_of_the_other_kind_are_refused(document: Document) -> None:
     assert imucal.check(consumer_report(), noise + SCALE).count("pass") == 4
 
 
-def test_the_gate_at_the_command_line_and_in_python(found: Calibration, tmp_path: Path) -> None:
-    """Exit code, table, JSON and JUnit of noise; only limits can check a calibration."""
+def test_check_works_on_the_command_line_and_in_python(found: Calibration, tmp_path: Path) -> None:
+    """Exit code, table, JSON and JUnit equal those for noise. A calibration needs a limits file."""
     log = str(SAMPLE_LOGS / "poses.mcap")
     run("calibrate", log, "--latitude", "47.4", "-o", "found", "--no-html", "-q", cwd=tmp_path)
     (tmp_path / "limits.toml").write_text(SCALE)

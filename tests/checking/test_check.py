@@ -1,4 +1,4 @@
-"""Verdicts: by the interval, for each axis, and never by what isn't there."""
+"""Verdicts of a check: decided by the interval, for each axis; missing data never pass."""
 
 import math
 from dataclasses import replace
@@ -42,7 +42,10 @@ def _verdicts(result: CheckResult) -> dict[str, str]:
     ],
 )
 def test_the_interval_decides(low: float, high: float, side: str, verdict: str) -> None:
-    """Wholly within passes, wholly beyond fails, the limit inside is undecided; the point plays no part."""
+    """An interval within the limit passes, one beyond it fails, and one that contains it is undecided.
+
+    The estimate itself does not matter.
+    """
     for value in (low, high):
         measured = Quantity(value=value, low=low, high=high)
         row = judge("gyro_x", "N", measured, side=side, limit=1.0)  # type: ignore[arg-type]
@@ -50,13 +53,13 @@ def test_the_interval_decides(low: float, high: float, side: str, verdict: str) 
 
 
 @pytest.mark.parametrize(("limit", "verdict"), [(1.0, "pass"), (0.5, "undecided")])
-def test_a_bound_never_exceeds_a_largest_value(limit: float, verdict: str) -> None:
-    """What the data don't show is between 0 and its bound."""
+def test_a_bound_never_fails_a_maximum(limit: float, verdict: str) -> None:
+    """An undetected term is between 0 and its bound, so the row passes or is undecided."""
     measured = Quantity(value=None, low=0.0, high=0.9)
     assert judge("gyro_x", "K", measured, side="max", limit=limit).verdict == verdict
 
 
-def test_a_true_value_at_the_limit_fails_and_passes_at_the_rate_of_the_level() -> None:
+def test_the_level_gives_the_error_rates_at_the_limit() -> None:
     """With 95 % intervals a sensor exactly at its limit fails in 2.5 % and passes in 2.5 % of records."""
     replications, deviation = 20_000, 0.1
     estimates = np.exp(deviation * np.random.default_rng(6).standard_normal(replications))
@@ -71,8 +74,8 @@ def test_a_true_value_at_the_limit_fails_and_passes_at_the_rate_of_the_level() -
     assert verdicts.count("pass") / replications == pytest.approx(0.025, abs=error)
 
 
-def test_the_interval_of_a_ratio_covers_the_ratio() -> None:
-    """Of two estimates with lopsided 95 % intervals of unequal width, 95 % of ratios cover the truth."""
+def test_the_interval_of_a_ratio_has_its_coverage() -> None:
+    """95 % of ratios of two estimates with asymmetric 95 % intervals of unequal width cover the truth."""
     replications = 20_000
     rng = np.random.default_rng(66)
     covered = 0
@@ -98,13 +101,13 @@ def test_the_interval_of_a_ratio_covers_the_ratio() -> None:
 def test_the_ratio_of_a_bound_is_an_interval(
     now: Quantity, before: Quantity, low: float, high: float
 ) -> None:
-    """A bound is any value from 0 to its upper limit."""
+    """A bound stands for any value from 0 to its upper limit."""
     ratio = ratio_of(now, before)
     assert [ratio.low, ratio.high] == pytest.approx([low, high])
 
 
-def test_a_sensors_limit_is_for_each_of_its_axes() -> None:
-    """And an axis's own limit adds to it; units are those of the file."""
+def test_the_limit_of_a_sensor_applies_to_each_axis() -> None:
+    """The limit of an axis applies in addition. Units are those of the file."""
     result = _check(
         '[gyroscope]\nN = { max = 0.43, unit = "deg/sqrt(h)" }\n[gyro_z]\nN = { min = 0.43, unit = "°/√h" }\n'
     )
@@ -119,7 +122,7 @@ def test_a_sensors_limit_is_for_each_of_its_axes() -> None:
 
 
 def test_sentences_contain_the_value_and_the_limit() -> None:
-    """One sentence a verdict; a bound is named as one."""
+    """There is one sentence per verdict; a bound is reported as a bound."""
     texts = [row.text for row in _check("[gyroscope]\nK = { max = 5e-7 }").rows]
     assert texts[:3] == [
         "gyro_x: K is 1.1e-06 [9.509e-07, 1.272e-06] rad/s/sqrt(s); above the largest allowed, 5e-07",
@@ -129,7 +132,7 @@ def test_sentences_contain_the_value_and_the_limit() -> None:
 
 
 def test_each_gauss_markov_term_is_judged() -> None:
-    """gyro_z has two; an axis whose model has none is undecided, with words."""
+    """gyro_z has two such terms. An axis without one is undecided, and the text explains that."""
     result = _check("[gyroscope]\nGM = { max = 5e-5 }")
     assert _verdicts(result) == {
         "gyro_x GM <= 5e-05 rad/s": "undecided",
@@ -140,8 +143,8 @@ def test_each_gauss_markov_term_is_judged() -> None:
     assert result.rows[0].text.startswith("gyro_x: the model has no GM and no bound for it;")
 
 
-def test_quantities_of_the_log() -> None:
-    """Rate, duration, gaps and missing samples; one row a sensor where its axes agree."""
+def test_rate_duration_gaps_and_missing_samples_can_be_limited() -> None:
+    """A sensor has one row if its axes agree."""
     result = _check(
         '[log]\nrate = { min = 199, max = 201 }\nduration = { min = 4, unit = "h" }\n'
         'gaps = { max = 0 }\nmissing = { max = 2, unit = "%" }'
@@ -153,8 +156,8 @@ def test_quantities_of_the_log() -> None:
     assert verdicts["gyro missing <= 2 %"] == "pass"
 
 
-def test_mean_spread_and_minimum() -> None:
-    """The curve's minimum has the interval of the curve; mean and std have none."""
+def test_mean_standard_deviation_and_minimum_can_be_limited() -> None:
+    """The minimum has the interval of the curve; mean and std have none."""
     axis = consumer_report().axes[0]
     ((_, minimum),) = measure(axis, "minimum")
     assert minimum.value == axis.fit.curve.minimum[0]
@@ -165,7 +168,7 @@ def test_mean_spread_and_minimum() -> None:
 
 
 def test_a_missing_axis_fails() -> None:
-    """Nothing passes by not being there: an axis with a limit, a required one, a sensor, one that failed."""
+    """Cases: an axis with a limit, a required axis, a sensor, and an axis whose fit failed."""
     report = small_report()
     rows = _check("[gyro_y]\nN = { max = 1 }", report).rows
     assert rows[0].text == "gyro_y: the report has no such axis; found gyro_x"
@@ -190,13 +193,13 @@ def test_a_missing_axis_fails() -> None:
     ],
 )
 def test_findings_are_forbidden_by_level_and_code(rules: str, failed: list[str]) -> None:
-    """By default an error is forbidden, a warning is not."""
+    """By default an error is forbidden and a warning is not."""
     result = _check(f"{rules}\n[gyro_x]\nN = {{ max = 1 }}")
     assert [row.subject for row in result.rows if row.verdict == "fail"] == failed
 
 
 def test_an_error_among_the_findings_fails_by_default() -> None:
-    """An error says that the numbers are wrong."""
+    """An error means that the numbers are wrong."""
     wrong = Finding(level="error", code="units", text="the gyroscope is in deg/s", axis="gyro")
     report = replace(consumer_report(), findings=(wrong,))
     result = _check("[gyro_x]\nN = { max = 1 }", report)
@@ -204,8 +207,8 @@ def test_an_error_among_the_findings_fails_by_default() -> None:
     assert result.verdict == "fail"
 
 
-def test_undecided_fails_only_where_asked() -> None:
-    """K of gyro_x has an interval about 1.1e-6."""
+def test_an_undecided_row_fails_only_on_request() -> None:
+    """K of gyro_x has an interval around 1.1e-6."""
     text = "[gyro_x]\nK = { max = 1.1e-6 }"
     result = _check(text)
     assert (result.verdict, result.passed) == ("undecided", True)
@@ -214,7 +217,7 @@ def test_undecided_fails_only_where_asked() -> None:
 
 
 def test_a_baseline_limits_the_change_of_each_term() -> None:
-    """The same report is 1 by its interval; a third more white noise fails, a third less passes."""
+    """The same report passes with a ratio of 1; a third more white noise fails, a third less passes."""
     accel = consumer_report().axes[3:]
     louder = replace(consumer_report(), axes=(_gyro("N=1.6e-4"), *accel))
     base = replace(consumer_report(), axes=(_gyro("N=1.2e-4"), *accel))
@@ -230,8 +233,8 @@ def _gyro(text: str) -> AxisReport:
     return axis_report(Sensor.GYROSCOPE, "x", f"{text} + B=2e-5 + K=1e-6")
 
 
-def test_the_baseline_that_the_limits_name_is_loaded(tmp_path: Path) -> None:
-    """From the folder of the limits file; one that isn't there is a read error."""
+def test_the_baseline_in_the_limits_file_is_loaded(tmp_path: Path) -> None:
+    """The path is relative to the limits file; a missing file is a read error."""
     limits = parse_limits('[baseline]\nreport = "golden/report.json"', folder=tmp_path)
     with pytest.raises(ReadError, match=r"golden/report\.json: no such file"):
         check(consumer_report(), limits)
@@ -240,8 +243,8 @@ def test_the_baseline_that_the_limits_name_is_loaded(tmp_path: Path) -> None:
     assert check(consumer_report(), limits).passed
 
 
-def test_a_report_is_its_own_baseline() -> None:
-    """Nothing lies between the two: each ratio is 1, bounds too, and none is undecided."""
+def test_a_report_passes_with_itself_as_baseline() -> None:
+    """Every ratio is exactly 1, including those of bounds, and no row is undecided."""
     result = _check(
         "[baseline]\nmax_increase = 0.01\nmax_decrease = 0.01", consumer_report(), consumer_report()
     )
@@ -250,15 +253,15 @@ def test_a_report_is_its_own_baseline() -> None:
     assert sum("baseline" in row.subject for row in result.rows) == 2 * 3 * 6
 
 
-def test_another_record_with_the_same_numbers_is_not_the_same() -> None:
-    """Bounds of two logs may agree by chance; their ratio is not known."""
+def test_equal_bounds_of_two_records_are_undecided() -> None:
+    """Bounds of two logs can be equal by chance, so their ratio is unknown."""
     other = consumer_report()
     other = replace(other, axes=tuple(replace(axis, std=2 * axis.std) for axis in other.axes))
     assert "undecided" in {row.verdict for row in _check("[baseline]", consumer_report(), other).rows}
 
 
-def test_a_baseline_that_the_report_does_not_match() -> None:
-    """A lost axis fails; a term the baseline lacks is undecided; no baseline at all is an error."""
+def test_a_lost_axis_fails_and_a_new_term_is_undecided() -> None:
+    """A missing baseline is an error."""
     rows = _check("[baseline]", small_report(), consumer_report()).rows
     assert {row.where for row in rows if row.verdict == "fail"} == {
         f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"
@@ -269,16 +272,16 @@ def test_a_baseline_that_the_report_does_not_match() -> None:
         _check("[baseline]")
 
 
-def test_the_level_is_that_of_the_fit() -> None:
-    """And the usual one where no axis could be fitted."""
+def test_the_level_is_taken_from_the_fit() -> None:
+    """Without a fitted axis it is the default."""
     report = small_report()
     axis = replace(report.axes[0], fit=replace(report.axes[0].fit, level=0.9))
     assert _check("[gyro_x]\nN = { max = 1 }", replace(report, axes=(axis,))).level == 0.9
     assert _check("[gyro_x]\nN = { max = 1 }", replace(report, axes=())).level == 0.95
 
 
-def test_a_minimum_whose_interval_is_endless_has_none() -> None:
-    """So few degrees of freedom that its upper limit is infinite, or none known."""
+def test_a_minimum_with_unknown_degrees_of_freedom_has_no_interval() -> None:
+    """With very few degrees of freedom the upper limit is infinite."""
     axis = consumer_report().axes[0]
     for edf in (1e-3, math.nan):
         curve = replace(axis.fit.curve, edf=np.full(axis.fit.curve.tau.size, edf))
@@ -287,8 +290,8 @@ def test_a_minimum_whose_interval_is_endless_has_none() -> None:
         assert minimum == Quantity(value=(x := curve.minimum[0]), low=x, high=x, unit=axis.unit)
 
 
-def test_the_ratio_of_two_intervals() -> None:
-    """Distances to the limits add in quadrature on the logarithmic scale, above and below by themselves."""
+def test_relative_widths_of_a_ratio_add_in_quadrature() -> None:
+    """The lower and the upper widths are added separately, on the logarithmic scale."""
     now = Quantity(value=8.0, low=8.0 / math.exp(0.3), high=8.0 * math.exp(0.5))
     before = Quantity(value=2.0, low=2.0 / math.exp(1.2), high=2.0 * math.exp(0.4))
     ratio = ratio_of(now, before)
@@ -312,13 +315,15 @@ def test_the_ratio_of_two_intervals() -> None:
         (None, 0.1, math.inf, ">= 0.1"),
     ],
 )
-def test_what_was_measured_in_words(value: float | None, low: float, high: float, text: str) -> None:
-    """A number, a number and its interval, or what is known of a bound."""
+def test_the_text_of_a_quantity_contains_value_and_interval(
+    value: float | None, low: float, high: float, text: str
+) -> None:
+    """The text of an undetected term contains its bound."""
     assert Quantity(value=value, low=low, high=high).text() == text
 
 
-def test_an_error_about_a_sensor_without_limits_asks_for_no_axis() -> None:
-    """A failed accelerometer is no matter of a file that only limits the gyroscope; nor is a warning."""
+def test_an_error_of_a_sensor_without_limits_adds_no_row() -> None:
+    """A failed accelerometer does not matter to a file that only limits the gyroscope, nor does a warning."""
     for level, axis in (("error", "accel_y"), ("warning", "gyro_y"), ("error", "gyro"), ("error", None)):
         found = Finding(level=level, code="stuck", text="all samples are equal", axis=axis)  # type: ignore[arg-type]
         report = replace(small_report(), findings=(found,))
@@ -326,8 +331,8 @@ def test_an_error_about_a_sensor_without_limits_asks_for_no_axis() -> None:
         assert _verdicts(result) == {"gyro_x N <= 1 rad/s/sqrt(Hz)": "pass"}
 
 
-def test_a_clock_of_its_own_is_judged_by_itself() -> None:
-    """Axes that disagree have a row each; the others one for the sensor."""
+def test_axes_with_different_rates_have_separate_rows() -> None:
+    """Axes that agree share a row."""
     report = consumer_report()
     axes = (replace(report.axes[0], rate_hz=100.0), *report.axes[1:])
     rows = _check("[log]\nrate = { min = 150 }\ngaps = { max = 1 }", replace(report, axes=axes)).rows
@@ -343,8 +348,8 @@ def test_a_clock_of_its_own_is_judged_by_itself() -> None:
     assert missing.value == pytest.approx(24_000 / (2_160_000 + 24_000))
 
 
-def test_every_sentence_of_a_check() -> None:
-    """Limits of all kinds on one axis, and a baseline that is a third lower."""
+def test_each_kind_of_limit_has_its_sentence() -> None:
+    """One axis has limits of all kinds, and the baseline is a third lower."""
     text = """
         [log]
         duration = { min = 4, unit = "h" }

@@ -1,4 +1,4 @@
-"""A filter's config read back: right ones pass, and each slip is named with the line that mends it."""
+"""Configs of filters are read back: correct ones pass, and each likely mistake is reported with a fix."""
 
 import math
 import re
@@ -23,11 +23,11 @@ from tests.report.synthetic import consumer_report as make_consumer_report
 
 GYRO, ACCEL = BOTH = tuple(Sensor)
 RATE_HZ, ROOT = 200.0, math.sqrt(200.0)
-#: Formats whose keys are one number each: those that the command reads back.
+#: Formats with one number per key, which the command reads back.
 READ = [target.name for target in TARGETS.values() if target.keys and target.read_back]
 DEGREE = math.pi / 180
-#: White noise and walk alone, each in the middle of the band, so that their cover is themselves: the factors
-#: below are then those of the file.
+#: White noise and walk alone, each in the middle of the band, are their own cover. The factors below are
+#: therefore those of the file.
 N, K = {GYRO: 1e-4, ACCEL: 1e-3}, {GYRO: 1e-6, ACCEL: 1e-5}
 PAIR = model_as_report(
     {s: f"N={N[s]} + K={K[s]} + B={0.3 * math.sqrt(N[s] * K[s])}" for s in Sensor}, rate_hz=RATE_HZ
@@ -44,7 +44,7 @@ def read_back(folder: Path, text: str, report: Report = PAIR) -> dict[str, Row]:
 
 
 def kalibr(gyro_n: float, gyro_k: float, accel_n: float = 1e-3, accel_k: float = 1e-5) -> str:
-    """Return an imu.yaml as people write it."""
+    """Return an imu.yaml in its usual form."""
     return (
         f"accelerometer_noise_density: {accel_n!r}   #Noise density\n"
         f"accelerometer_random_walk: {accel_k!r}\n"
@@ -55,8 +55,8 @@ def kalibr(gyro_n: float, gyro_k: float, accel_n: float = 1e-3, accel_k: float =
 
 
 @pytest.mark.parametrize("name", READ)
-def test_what_the_exporter_writes_passes(name: str, tmp_path: Path) -> None:
-    """Of every format, whatever the options that its comment names; every key is read."""
+def test_exported_files_pass(name: str, tmp_path: Path) -> None:
+    """Every format passes with any options in its comment, and every key is read."""
     asked = render(
         consumer_report(),
         name,
@@ -70,7 +70,7 @@ def test_what_the_exporter_writes_passes(name: str, tmp_path: Path) -> None:
         assert len([row for row in rows.values() if row.where != "log"]) == wanted
 
 
-#: What is done to a number of a Kalibr file -> what is said of it, and of which sensor it can be.
+#: Change of a number in a Kalibr file -> reported mistake, and the sensors to which it applies.
 SLIPS: dict[str, tuple[Callable[[float], float], str, tuple[Sensor, ...]]] = {
     "per sample": (lambda c: c * ROOT, r"large: by sqrt\(f\) at 200 Hz: .\*sqrt\(f\), the dev", BOTH),
     "step": (lambda c: c / ROOT, r"small: by sqrt\(f\) at 200 Hz: ./sqrt\(f\), the step", BOTH),
@@ -95,8 +95,8 @@ SLIPS: dict[str, tuple[Callable[[float], float], str, tuple[Sensor, ...]]] = {
 @pytest.mark.parametrize(
     ("slip", "sensor"), [(slip, s) for slip, (_, _, sensors) in SLIPS.items() for s in sensors]
 )
-def test_each_slip_is_named_and_mended(slip: str, sensor: Sensor, symbol: str, tmp_path: Path) -> None:
-    """In its own row; with the lines that are said the file passes."""
+def test_each_mistake_is_reported_with_a_fix(slip: str, sensor: Sensor, symbol: str, tmp_path: Path) -> None:
+    """The row of the changed key reports it; the file passes with the proposed lines."""
     make, said, _ = SLIPS[slip]
     right = read_back(tmp_path, render(PAIR, "kalibr"))
     numbers = {key: row.measured.value for key, row in right.items() if row.measured is not None}
@@ -104,7 +104,7 @@ def test_each_slip_is_named_and_mended(slip: str, sensor: Sensor, symbol: str, t
     wrong = make(numbers[key] or math.nan)
     text = "".join(f"{name}: {wrong if name == key else value!r}\n" for name, value in numbers.items())
     rows = read_back(tmp_path, text)
-    # Ten times as large is what people make numbers on purpose.
+    # Users sometimes inflate numbers ten times on purpose.
     assert rows[key].verdict == ("undecided" if slip == "g twice" else "fail")
     assert re.search(said, rows[key].text), rows[key].text
     assert rows[key].text.startswith(f"{sensor.short}: imu.cfg:{list(numbers).index(key) + 1}: {key} is ")
@@ -113,8 +113,8 @@ def test_each_slip_is_named_and_mended(slip: str, sensor: Sensor, symbol: str, t
 
 
 @pytest.mark.parametrize("name", READ)
-def test_a_slip_is_named_in_every_format(name: str, tmp_path: Path) -> None:
-    """A factor of the square root of the rate, both ways, by each format's own formula."""
+def test_a_wrong_factor_of_the_rate_is_reported_in_every_format(name: str, tmp_path: Path) -> None:
+    """The factor is the square root of the rate, in both directions and in the formula of each format."""
     for by, said in ((ROOT, "large: by sqrt(f)"), (1 / ROOT, "small: by sqrt(f)")):
         numbers = {
             key.name.format(i=1, axis="y"): key.formula.of(
@@ -129,8 +129,8 @@ def test_a_slip_is_named_in_every_format(name: str, tmp_path: Path) -> None:
             assert said in row.text or "the continuous density" in row.text, row.text
 
 
-def test_another_terms_number_is_named(tmp_path: Path) -> None:
-    """B or N in place of K: a data sheet's bias instability, and what 'random walk' is called elsewhere."""
+def test_the_number_of_another_term_is_reported(tmp_path: Path) -> None:
+    """K is replaced by B (bias instability in data sheets) or by N ("random walk" elsewhere)."""
     report = model_as_report({GYRO: "N=1e-4 + B=5e-5 + K=1e-8"}, rate_hz=RATE_HZ)
     rows = read_back(tmp_path, "gyroscope_noise_density: 2e-4\ngyroscope_random_walk: 1e-4\n", report)
     assert (
@@ -144,14 +144,14 @@ def test_another_terms_number_is_named(tmp_path: Path) -> None:
     )
 
 
-def test_the_fits_own_numbers_are_too_small_where_there_is_flicker(tmp_path: Path) -> None:
-    """N and K as fitted, which leave it out; but a pair may share it out in another way."""
+def test_fitted_n_and_k_are_too_small_if_there_is_flicker(tmp_path: Path) -> None:
+    """N and K of the fit leave flicker out; other pairs can cover it."""
     report = model_as_report({GYRO: "N=1e-4 + B=2e-5 + K=1e-7"}, rate_hz=RATE_HZ)
     rows = read_back(tmp_path, render(report, "kalibr", ExportOptions(numbers="as-fitted")), report)
     walk = rows["gyroscope_random_walk"]
     assert walk.verdict == "fail"
     assert "K of the fit alone is below the values that cover the fitted spectrum" in walk.text
-    # Flicker is covered by N K >= B²/2; three times the white noise leaves a third for the walk.
+    # Flicker is covered if N K >= B²/2; with three times the white noise, a third of the walk is enough.
     shared = "gyroscope_noise_density: 3e-4\ngyroscope_random_walk: 8e-7\n"
     rows = read_back(tmp_path, shared, report)
     assert {row.verdict for row in rows.values()} == {"pass"}
@@ -162,8 +162,8 @@ def test_the_fits_own_numbers_are_too_small_where_there_is_flicker(tmp_path: Pat
     )
 
 
-def test_more_than_needed_passes_with_a_word(tmp_path: Path) -> None:
-    """Ten times and more is said, up to there it is not; and that is no slip."""
+def test_numbers_that_are_too_large_pass_with_a_comment(tmp_path: Path) -> None:
+    """The comment appears from a factor of ten on, and is not reported as a mistake."""
     rows = read_back(tmp_path, kalibr(7e-4, 7e-6, 3e-2, 3e-4))
     assert {row.verdict for row in rows.values()} == {"pass"}
     assert "times too large: too cautious for a sensor at rest" in rows["accelerometer_noise_density"].text
@@ -171,8 +171,8 @@ def test_more_than_needed_passes_with_a_word(tmp_path: Path) -> None:
     assert not rows["gyroscope_noise_density"].instead
 
 
-def test_what_a_record_only_bounds_is_undecided(tmp_path: Path) -> None:
-    """A walk below the bound may be right: the record is too short to tell."""
+def test_a_term_with_only_a_bound_is_undecided(tmp_path: Path) -> None:
+    """A walk below the bound may be right, because the record is too short to detect it."""
     bounds = {"K": 1e-5, "B": 1e-5}
     axes = tuple(axis_report(GYRO, axis, "N=1e-4", bounds=bounds) for axis in get_args(Axis))
     report = replace(consumer_report(), axes=axes, findings=())
@@ -185,7 +185,7 @@ def test_what_a_record_only_bounds_is_undecided(tmp_path: Path) -> None:
     )
 
 
-#: One sensor's numbers as files of all kinds hold them, among other keys.
+#: Numbers of one sensor in each kind of file, among other keys.
 SPELLINGS = {
     "OpenCV": """%YAML:1.0
 ---
@@ -226,8 +226,8 @@ biasOmegaCovariance: 1e-8
 
 
 @pytest.mark.parametrize("kind", SPELLINGS)
-def test_files_are_read_as_their_programs_spell_them(kind: str, tmp_path: Path) -> None:
-    """Large numbers pass; of absurdly small ones the lines to write are read back."""
+def test_files_are_read_in_the_syntax_of_their_programs(kind: str, tmp_path: Path) -> None:
+    """Large numbers pass. For numbers that are far too small, the proposed lines pass when read back."""
     text = SPELLINGS[kind]
     rows = read_back(tmp_path, text)
     assert {row.where for row in rows.values()} == {"gyro"}
@@ -249,7 +249,7 @@ def test_files_are_read_as_their_programs_spell_them(kind: str, tmp_path: Path) 
 
 
 def test_another_rate_is_undecided(tmp_path: Path) -> None:
-    """Nobody but the user knows at which rate the IMU runs in service."""
+    """Only the user knows the rate of the IMU in operation."""
     rows = read_back(
         tmp_path, render(PAIR, "orbslam3").replace("IMU.Frequency: 200.0", "IMU.Frequency: 400.0")
     )
@@ -258,8 +258,8 @@ def test_another_rate_is_undecided(tmp_path: Path) -> None:
     assert row.instead == "IMU.Frequency: 200.0"
 
 
-def test_a_sensor_that_the_report_lacks_is_undecided(tmp_path: Path) -> None:
-    """Half of the file can be judged."""
+def test_a_sensor_missing_in_the_report_is_undecided(tmp_path: Path) -> None:
+    """The other sensor's numbers are judged."""
     report = model_as_report({GYRO: "N=1e-4 + K=1e-6"}, rate_hz=RATE_HZ)
     rows = read_back(tmp_path, kalibr(2e-4, 2e-6), report)
     assert rows["gyroscope_noise_density"].verdict == "pass"
@@ -267,8 +267,8 @@ def test_a_sensor_that_the_report_lacks_is_undecided(tmp_path: Path) -> None:
     assert "the report has no accelerometer" in rows["accelerometer_noise_density"].text
 
 
-def test_a_text_in_place_of_a_number_fails(tmp_path: Path) -> None:
-    """With the line to write."""
+def test_a_text_instead_of_a_number_fails(tmp_path: Path) -> None:
+    """The row contains the line to write."""
     row = read_back(tmp_path, "gyroscope_noise_density: high\ngyroscope_random_walk:\n")[
         "gyroscope_noise_density"
     ]
@@ -278,7 +278,10 @@ def test_a_text_in_place_of_a_number_fails(tmp_path: Path) -> None:
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
-    """Missing, no text, no key of a filter: where, what was found, what is expected."""
+    """Cases: a missing file, a binary file, and a file without keys of a filter.
+
+    The error contains the path, the content and the expected form.
+    """
     with pytest.raises(
         LimitsError, match=r"no\.yaml: can't be read \(No such file or directory\); expected the config"
     ):

@@ -1,4 +1,4 @@
-"""The limits file: what it may say, and what is said when it says something else."""
+"""The limits file: its content, and the errors for wrong content."""
 
 import math
 import re
@@ -24,8 +24,8 @@ EXAMPLE = Path(__file__).parents[2] / "docs" / "limits-example.toml"
 DEGREE = math.pi / 180
 
 
-def test_the_example_of_the_documentation_is_right() -> None:
-    """It is read, and every part of it is used."""
+def test_the_example_of_the_documentation_is_valid() -> None:
+    """Every part of the file is read."""
     limits = read_limits(EXAMPLE)
     assert len(limits.limits) == 4 + 5 + 2 + 2
     assert len(limits.calibration) == 4 + 5
@@ -35,7 +35,7 @@ def test_the_example_of_the_documentation_is_right() -> None:
     assert limits.undecided == "pass"
 
 
-def test_a_limit_is_held_in_its_own_unit_and_in_si() -> None:
+def test_a_limit_keeps_its_unit_and_a_factor_to_si() -> None:
     """0.3 deg/sqrt(h) is 0.3 * pi/180/60 rad/s/sqrt(Hz)."""
     (limit,) = parse_limits('[gyroscope]\nN = { max = 0.3, unit = "deg/sqrt(h)" }').limits
     assert (limit.where, limit.quantity, limit.side, limit.value) == ("gyroscope", "N", "max", 0.3)
@@ -59,15 +59,16 @@ def test_a_limit_is_held_in_its_own_unit_and_in_si() -> None:
         (Sensor.GYROSCOPE, "Q", "arcsec", DEGREE / 3600),
     ],
 )
-def test_units_of_coefficients(sensor: Sensor, quantity: str, unit: str, si: float) -> None:
-    """Each unit that data sheets and configs print, by its definition."""
+def test_units_of_data_sheets_and_configs_are_converted(
+    sensor: Sensor, quantity: str, unit: str, si: float
+) -> None:
     found = find_unit(unit, quantity_units(quantity, sensor))
     assert found is not None
     assert found[1] == pytest.approx(si, rel=1e-12)
 
 
-def test_units_of_a_recording() -> None:
-    """Rate, length, number of gaps, share of missing samples; the first is that of a limit without a unit."""
+def test_quantities_of_the_log_have_units() -> None:
+    """A limit without a unit uses the first one."""
     found = {
         quantity: list(quantity_units(quantity, Sensor.GYROSCOPE).items()) for quantity in LOG_QUANTITIES
     }
@@ -82,7 +83,7 @@ def test_units_of_a_recording() -> None:
 @pytest.mark.parametrize("sensor", Sensor)
 @pytest.mark.parametrize("quantity", [*TERM_QUANTITIES, *SAMPLE_QUANTITIES])
 def test_every_quantity_has_si_first_and_its_data_sheet_unit(sensor: Sensor, quantity: str) -> None:
-    """SI is what stands where no unit is given."""
+    """A limit without a unit is in SI."""
     units = quantity_units(quantity, sensor)
     symbol = quantity if quantity in TERMS else "B"
     assert next(iter(units)) == TERMS[symbol].unit(sensor)
@@ -146,15 +147,15 @@ def test_every_quantity_has_si_first_and_its_data_sheet_unit(sensor: Sensor, qua
     ],
 )
 def test_errors_contain_their_place(text: str, message: str) -> None:
-    """A typing mistake never opens the gate; exit code 2."""
+    """A typing error must not let a check pass; the exit code is 2."""
     with pytest.raises(LimitsError) as error:
         parse_limits(text, name="l.toml")
     assert message in str(error.value)
     assert error.value.exit_code == 2
 
 
-def test_a_file_that_cannot_be_read_is_an_error(tmp_path: Path) -> None:
-    """Missing, and not text."""
+def test_an_unreadable_limits_file_is_an_error(tmp_path: Path) -> None:
+    """Cases: a missing file, and a binary file."""
     with pytest.raises(LimitsError, match=r"no\.toml: can't be read \(No such file or directory\); expected"):
         read_limits(tmp_path / "no.toml")
     (tmp_path / "b.toml").write_bytes(b"\xff\xfe")
@@ -163,22 +164,22 @@ def test_a_file_that_cannot_be_read_is_an_error(tmp_path: Path) -> None:
 
 
 def test_a_baseline_is_relative_to_the_limits_file(tmp_path: Path) -> None:
-    """So that the check is the same from every folder."""
+    """The check is therefore the same from every folder."""
     file = tmp_path / "limits.toml"
     file.write_text('[baseline]\nreport = "golden/report.json"\nmax_decrease = 0.5\n')
     baseline = read_limits(file).baseline
     assert baseline is not None
     assert baseline.report == tmp_path / "golden" / "report.json"
     assert baseline.max_decrease == 0.5
-    assert baseline.max_increase is None  # only what is asked
-    # The command line's help says so: 20 % more N, B and K.
+    assert baseline.max_increase is None  # only what is requested
+    # The help of the command documents this default: 20 % more N, B and K.
     assert parse_limits("[baseline]").baseline == Baseline(
         report=None, terms=("N", "B", "K"), max_increase=0.2, max_decrease=None
     )
 
 
-def test_terms_have_the_names_of_data_sheets_too() -> None:
-    """ARW and VRW are N, BI is B, RRW is K; the unit stays what it is."""
+def test_names_of_data_sheets_are_accepted() -> None:
+    """ARW and VRW are N, BI is B, RRW is K; the unit does not change."""
     text = """
         [gyroscope]
         ARW = { max = 0.3, unit = "deg/sqrt(h)" }
@@ -198,15 +199,14 @@ def test_terms_have_the_names_of_data_sheets_too() -> None:
         parse_limits("[gyro_x]\nARW = { max = 1 }\nN = { max = 1 }")
 
 
-def test_the_codes_are_those_of_the_page_on_findings() -> None:
-    """A new finding is added to the page, which is held to the source, and to the list."""
+def test_the_finding_codes_equal_those_of_the_documentation() -> None:
+    """The page is compared with the source by another test, so a new code must be added to page and list."""
     page = (EXAMPLE.parent / "messages.md").read_text(encoding="utf-8")
     cells = re.findall(r"^\| (`[^|]*`) \|", page, re.MULTILINE)
     assert {code for cell in cells for code in re.findall(r"`([a-z-]+)`", cell)} == FINDING_CODES
 
 
-def test_the_examples_of_the_page_are_toml() -> None:
-    """Every TOML block of the page on CI is a limits file."""
+def test_the_toml_blocks_of_the_page_on_ci_are_valid() -> None:
     page = (EXAMPLE.parent / "use-in-ci.md").read_text(encoding="utf-8")
     blocks = [block.split("```")[0] for block in page.split("```toml\n")[1:]]
     assert len(blocks) == 2

@@ -1,4 +1,4 @@
-"""Verdicts for machines: JSON, JUnit XML, GitHub annotations."""
+"""Verdicts in machine-readable form: JSON, JUnit XML, GitHub annotations."""
 
 import json
 from dataclasses import replace
@@ -24,8 +24,8 @@ def _result(*, undecided: str = "pass", path: str = "a.mcap") -> CheckResult:
     return check(report, parse_limits(f'undecided = "{undecided}"\n{LIMITS}'))
 
 
-def test_json_has_every_number() -> None:
-    """And survives a strict round trip."""
+def test_json_contains_every_number() -> None:
+    """It is strict JSON."""
     document = json.loads(json.dumps(to_document(_result()), allow_nan=False))
     assert document["schema"] == "imucal/checking/1"
     assert (document["verdict"], document["passed"]) == ("fail", False)
@@ -38,7 +38,7 @@ def test_json_has_every_number() -> None:
 
 
 def test_an_unknown_interval_is_null() -> None:
-    """The ratio of two bounds is anything; JSON knows no infinity."""
+    """The ratio of two bounds can be anything, and JSON has no infinity."""
     other = consumer_report()
     other = replace(other, axes=tuple(replace(axis, mean=1.0) for axis in other.axes))
     result = check(consumer_report(), parse_limits("[baseline]\nterms = ['K']"), baseline=other)
@@ -47,8 +47,8 @@ def test_an_unknown_interval_is_null() -> None:
     assert (row["low"], row["high"], row["verdict"]) == (0, None, "undecided")
 
 
-def test_junit_counts_what_it_holds() -> None:
-    """A parser finds a case a row; an undecided one is skipped, or fails where it fails the check."""
+def test_junit_has_a_case_for_each_row() -> None:
+    """An undecided row is skipped, or fails if it fails the check."""
     for undecided, failures, skipped in (("pass", 2, 1), ("fail", 3, 0)):
         root = etree.fromstring(junit_xml(_result(undecided=undecided)).encode())
         (suite,) = root
@@ -59,14 +59,14 @@ def test_junit_counts_what_it_holds() -> None:
     assert ("imucal.gyro_x", "K <= 1.1e-06 rad/s/sqrt(s)") in names
 
 
-def test_a_log_with_any_name_makes_good_xml() -> None:
-    """Angle brackets and control characters included."""
+def test_any_log_name_gives_valid_xml() -> None:
+    """The name contains angle brackets and control characters."""
     root = etree.fromstring(junit_xml(_result(path='<a>\x00&"b')).encode())
     assert root[0].get("name") == '<a> &"b'
 
 
-def test_github_annotations_escape_what_they_must() -> None:
-    """Per cent, commas and colons would end a property; undecided is a warning."""
+def test_github_annotations_are_escaped() -> None:
+    """Per cent, commas and colons would end a property. An undecided row is a warning."""
     lines = github_annotations(_result(), file="ci/limits, mine.toml")
     assert len(lines) == 3
     place = "file=ci/limits%2C mine.toml,title=imucal"

@@ -1,1 +1,1 @@
-"""Consumers that are programs of their own: a probe each, run by an interpreter that has the program."""
+"""Consumers that are separate programs: each has a probe, run by an interpreter that can import it."""

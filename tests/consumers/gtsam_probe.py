@@ -1,6 +1,6 @@
-"""Preintegrate a second of rest with an exported module; run by an interpreter that has GTSAM.
+"""Preintegrate one second of rest with an exported module, in an interpreter that has GTSAM.
 
-``python gtsam_probe.py FILE`` prints the version and the standard deviations, as JSON.
+``python gtsam_probe.py FILE`` prints the version and the standard deviations as JSON.
 """
 
 import json

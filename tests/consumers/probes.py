@@ -1,7 +1,7 @@
-"""Which interpreters have a consumer, and what its probe says of an exported file.
+"""Interpreters that can import a consumer, and the output of its probe for an exported file.
 
-The interpreter of the tests is one of them; ``IMUCAL_CONSUMERS`` names others, between colons: GTSAM
-4.2 wants NumPy 1, which imucal doesn't run on.
+The interpreter of the tests is included. ``IMUCAL_CONSUMERS`` lists others, separated by colons: GTSAM 4.2
+needs NumPy 1, which imucal does not support.
 """
 
 import json
@@ -26,7 +26,7 @@ def interpreters(package: str) -> Iterator[str]:
 
 
 def probe(python: str, package: str, file: Path) -> dict[str, Any]:
-    """Return what a package's probe prints of a file."""
+    """Return the output of a package's probe for a file."""
     script = _HERE / f"{package}_probe.py"
     done = subprocess.run([python, script, file], check=True, capture_output=True, text=True)  # noqa: S603
     found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])

@@ -1,6 +1,6 @@
-"""Load an exported parameter file; run by an interpreter that has pymavlink.
+"""Load an exported parameter file in an interpreter that has pymavlink.
 
-``python pymavlink_probe.py FILE`` prints the version and the parameters, as JSON.
+``python pymavlink_probe.py FILE`` prints the version and the parameters as JSON.
 """
 
 import contextlib
@@ -13,7 +13,7 @@ from pymavlink.mavparm import MAVParmDict
 
 
 def main() -> None:
-    """Print what MAVParmDict.load, which `param load` of MAVProxy calls, makes of the file."""
+    """Print the parameters read by MAVParmDict.load, which `param load` of MAVProxy calls."""
     parameters = MAVParmDict()
     with contextlib.redirect_stdout(io.StringIO()) as said:
         parameters.load(sys.argv[1])

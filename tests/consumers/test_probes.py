@@ -1,4 +1,4 @@
-"""Exports run by the programs themselves, where there are interpreters that have them."""
+"""Exports run by the target programs themselves, if an interpreter can import them."""
 
 import math
 import re
@@ -15,10 +15,10 @@ _NONE = "no interpreter has {}; pip install it, or name one in IMUCAL_CONSUMERS"
 
 
 def test_gtsam_integrates_the_noise_of_the_export(tmp_path: Path) -> None:
-    """After a second the attitude is uncertain by N and the walk K, sqrt(N^2 + K^2/3), in 4.2 and 4.3.
+    """After one second the attitude has the standard deviation sqrt(N^2 + K^2/3), in GTSAM 4.2 and 4.3.
 
-    Along gravity the velocity has the accelerometer's alone. Preintegration is exact to the step over
-    the second, 0.5 %; GTSAM 4.2 would be off by 6000 times without its setter.
+    Along gravity, only the accelerometer affects the velocity. Preintegration is exact up to one step per
+    second, 0.5 %; GTSAM 4.2 would be wrong by a factor of 6000 without its setter.
     """
     (file,) = export(consumer_report(), "gtsam", tmp_path)
     given = READERS["gtsam"](file)
@@ -36,7 +36,7 @@ def test_gtsam_integrates_the_noise_of_the_export(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("target", ["px4", "ardupilot"])
 def test_pymavlink_loads_the_parameters(target: str, tmp_path: Path) -> None:
-    """It passes over the four lines for QGroundControl and takes the others, all of them."""
+    """It skips the four lines for QGroundControl and reads all others."""
     (file,) = export(consumer_report(), target, tmp_path)
     pythons = list(interpreters("pymavlink"))
     if not pythons:

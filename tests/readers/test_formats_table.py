@@ -21,22 +21,22 @@ MPU = {"gyro_scale": math.radians(1 / 131), "accel_scale": G0 / 16384}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Known:
-    """A file and what is known of it.
+    """A log and its known properties.
 
     Attributes
     ----------
     files
-        Its path, or those of files that belong together.
+        Path of the log, or paths of several files that form one log.
     options
-        What a user has to add.
+        Options that the user must add.
     axes, n, rate
-        What it holds.
+        Axes, number of samples and rate of the log.
     within
         Relative tolerance of the rate.
     first
         First samples of gyroscope x and accelerometer x in the unit of the file, and SI per unit.
     message
-        Parts of the message with which it is refused.
+        Parts of the error message.
     """
 
     files: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""As much of Google Cloud Storage and of Azure Blob Storage as reading one object asks for."""
+"""The parts of Google Cloud Storage and Azure Blob Storage that are needed to read one object."""
 
 import json
 import re
@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from urllib.parse import parse_qs, unquote, urlsplit
 
-#: Of a bucket `bucket`, a container `bucket`.
+#: Object in a bucket, or container, with the name `bucket`.
 NAME = "run/a.csv"
-#: The key that Azure publishes for its emulator, which is no secret.
+#: The public key of Azure's emulator, which is no secret.
 _KEY = "Eby8vdM02xNOcqFlqUwJPLlmEtlCDXJ1OUzFT50uSRZ6IFsuFq2UVErCz4I6tq/K1SZFPTOtr/KBHBeksoGMGw=="
 _DATE = "Thu, 01 Jan 2026 00:00:00 GMT"
 
@@ -84,19 +84,19 @@ class _Cloud(BaseHTTPRequestHandler):
             self.wfile.write(body)
 
     def log_message(self, *_: object) -> None:
-        """Keep quiet."""
+        """Log nothing."""
 
 
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
 
     def handle_error(self, *_: object) -> None:
-        """Keep quiet about clients that leave."""
+        """Ignore clients that disconnect."""
 
 
 @contextmanager
 def cloud_server(body: bytes) -> Iterator[dict[str, str]]:
-    """Serve one object; yield the environment in which gcsfs and adlfs find the server."""
+    """Serve one object; yield the environment variables for gcsfs and adlfs."""
     handler = type("Handler", (_Cloud,), {"body": body})
     with _Server(("127.0.0.1", 0), handler) as server:
         url = f"http://127.0.0.1:{server.server_address[1]}"
@@ -106,7 +106,7 @@ def cloud_server(body: bytes) -> Iterator[dict[str, str]]:
         try:
             yield {
                 "STORAGE_EMULATOR_HOST": url,
-                # What Google's own protocol asks of a bucket, the emulator does not answer.
+                # The emulator does not implement this request of Google's own protocol.
                 "GCSFS_EXPERIMENTAL_ZB_HNS_SUPPORT": "false",
                 "AZURE_STORAGE_CONNECTION_STRING": f"DefaultEndpointsProtocol=http;{account}",
             }

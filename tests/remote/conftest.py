@@ -1,4 +1,4 @@
-"""Servers, and a cache of each test's own."""
+"""Servers, and a separate cache for each test."""
 
 import logging
 import os
@@ -37,13 +37,13 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture(autouse=True)
 def no_waits(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let attempts follow one another at once."""
+    """Retry without waiting."""
     monkeypatch.setattr(addresses, "WAITS", (0.0, 0.0, 0.0))
 
 
 @pytest.fixture(scope="session")
 def endpoint() -> Iterator[str]:
-    """Run an S3 server, or take the one that ``IMUCAL_TEST_S3`` names: ``http://key:secret@host:port``."""
+    """Run an S3 server, or use that of ``IMUCAL_TEST_S3``: ``http://key:secret@host:port``."""
     if "IMUCAL_TEST_S3" in os.environ:
         yield os.environ["IMUCAL_TEST_S3"]
         return
@@ -57,7 +57,7 @@ def endpoint() -> Iterator[str]:
 
 @pytest.fixture
 def bucket(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> Any:  # noqa: ANN401 - fsspec has no types
-    """Give the test an empty bucket and credentials, as the environment says them."""
+    """Give the test an empty bucket, and credentials in the environment."""
     parts = urlsplit(endpoint)
     for name, value in {
         "AWS_ENDPOINT_URL": f"{parts.scheme}://{parts.hostname}:{parts.port}",

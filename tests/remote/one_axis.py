@@ -1,10 +1,10 @@
-"""A log that is quickly fitted: one axis of white noise."""
+"""A log that is fitted quickly: one axis of white noise."""
 
 import numpy as np
 
 __all__ = ["OPTIONS", "one_axis"]
 
-#: What its header doesn't say.
+#: The header does not contain the unit.
 OPTIONS = ("--gyro-unit", "rad/s")
 
 

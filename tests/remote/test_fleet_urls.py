@@ -1,4 +1,4 @@
-"""A fleet of logs behind URLs: its results, its secrets, and what it leaves on this machine."""
+"""A fleet of logs behind URLs: results, secrets, and files left on this machine."""
 
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,11 @@ pytestmark = pytest.mark.usefixtures("logs_are_done_here", "pictures_are_blank")
 
 
 @pytest.mark.slow
-def test_a_fleet_in_a_bucket(bucket: Any, tmp_path: Path, cache: Path) -> None:  # noqa: ANN401
-    """By wildcards: labels from the keys; copies go after use; again does nothing, a new object is done."""
+def test_a_fleet_in_a_bucket_is_processed(bucket: Any, tmp_path: Path, cache: Path) -> None:  # noqa: ANN401
+    """Wildcards select the logs, keys give the labels, and copies are deleted after use.
+
+    A second run does nothing; a new object is processed.
+    """
     for seed, unit in enumerate(("u1", "u2")):
         bucket.pipe_file(f"logs/mems/{unit}/still.csv", one_axis(seed))
     logs = "s3://logs/mems/*/still.csv"
@@ -37,14 +40,14 @@ def test_a_fleet_in_a_bucket(bucket: Any, tmp_path: Path, cache: Path) -> None: 
     bucket.pipe_file("logs/mems/u4/still.csv", one_axis(0))
     third = run("fleet", "run", logs, *LABELS, *HOW, cwd=tmp_path)
     assert third.returncode == 0, third.stderr
-    # The fourth unit's log is the first one's, byte for byte.
+    # The log of the fourth unit equals the first one, byte for byte.
     assert third.stderr.startswith("1 log to do, 26.73 kB; ")
     same = "s3://logs/mems/u4/still.csv: same content as s3://logs/mems/u1/still.csv"
     assert same in third.stderr
 
 
-def test_signed_urls_of_a_list(web: WebServer, tmp_path: Path) -> None:
-    """Nothing of the store has the query, which tells no logs apart; one that is not there is a failure."""
+def test_signed_urls_of_a_list_leave_no_query(web: WebServer, tmp_path: Path) -> None:
+    """Queries are not stored and do not distinguish logs. A missing log is a failure."""
     urls = [web.add(f"/{name}.csv", one_axis(seed)) for seed, name in enumerate("ab")]
     urls.append(f"{web.url}/none.csv")
     text = "\n".join(f"{url}?sig=SECRET" for url in urls)
@@ -67,8 +70,8 @@ def test_signed_urls_of_a_list(web: WebServer, tmp_path: Path) -> None:
     assert (twice.returncode, "differ only after the question mark" in twice.stderr) == (2, True)
 
 
-def test_a_manifest_of_urls(web: WebServer, tmp_path: Path) -> None:
-    """A column of URLs; the store has them without their queries."""
+def test_a_manifest_can_contain_urls(web: WebServer, tmp_path: Path) -> None:
+    """The stored URLs have no queries."""
     url = web.add("/a.csv", one_axis())
     (tmp_path / "units.csv").write_text(f"path,unit\n{url}?sig=SECRET,u7\n", encoding="utf-8")
     done = run("fleet", "run", "--manifest", "units.csv", *HOW, cwd=tmp_path)
@@ -77,8 +80,8 @@ def test_a_manifest_of_urls(web: WebServer, tmp_path: Path) -> None:
     assert (results["path"][0], results["unit"][0]) == (url, "u7")
 
 
-def test_edges_and_contents_are_those_of_the_file(web: WebServer, tmp_path: Path) -> None:
-    """So that a log here and its copy in a store are seen to be one."""
+def test_a_remote_log_has_the_checksums_of_its_file(web: WebServer, tmp_path: Path) -> None:
+    """A local log and its remote copy must be recognised as equal."""
     body = one_axis() * 9
     (tmp_path / "a.csv").write_bytes(body)
     url = web.add("/a.csv", body)

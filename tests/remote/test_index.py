@@ -1,4 +1,4 @@
-"""What is in a remote log, from a part of its bytes."""
+"""The description of a remote log, from a part of its bytes."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +20,7 @@ from tests.remote.web_server import WebServer
 
 @pytest.mark.parametrize("name", ["consumer_mems.mcap", "tactical.bag"])
 def test_the_index_gives_the_same_description(web: WebServer, name: str) -> None:
-    """As of the file of this machine, for a part of its bytes; nothing goes into the cache."""
+    """It equals the description of the local file, and nothing is cached."""
     body = (SAMPLE_LOGS / name).read_bytes()
     url = web.add(f"/{name}", body)
     here, there = describe(SAMPLE_LOGS / name), describe(f"{url}?sig=SECRET")
@@ -33,23 +33,21 @@ def test_the_index_gives_the_same_description(web: WebServer, name: str) -> None
 
 
 def test_a_cut_log_is_downloaded_and_described(web: WebServer) -> None:
-    """It has no index, so all of it has to come."""
+    """It has no index, so the complete file is needed."""
     body = (SAMPLE_LOGS / "consumer_mems.mcap").read_bytes()[:-200_000]
     contents = describe(web.add("/cut.mcap", body))
     assert [finding.code for finding in contents.findings] == ["truncated"]
     assert contents.topics[0].count
 
 
-def test_a_server_without_ranges_gives_all(web: WebServer) -> None:
-    """Once."""
+def test_a_server_without_ranges_sends_the_file_once(web: WebServer) -> None:
     body = (SAMPLE_LOGS / "tactical.bag").read_bytes()
     contents = describe(web.add("/tactical.bag", body, ranges=False))
     assert contents.topics[0].count == 24000
     assert [part for _, part, _ in web.asked] == ["bytes=0-511", ""]
 
 
-def test_a_cached_log_is_not_asked_for_parts(web: WebServer) -> None:
-    """All of it is here."""
+def test_a_cached_log_is_described_without_requests(web: WebServer) -> None:
     url = web.add("/tactical.bag", (SAMPLE_LOGS / "tactical.bag").read_bytes())
     with fetched(url):
         pass
@@ -58,8 +56,8 @@ def test_a_cached_log_is_not_asked_for_parts(web: WebServer) -> None:
     assert web.sent == before + 512
 
 
-def test_parts_are_the_file(web: WebServer) -> None:
-    """Any place and length, in any order; each block once."""
+def test_parts_equal_the_bytes_of_the_file(web: WebServer) -> None:
+    """Parts have any place, length and order; each block is requested once."""
     body = np.random.default_rng(14).bytes(3_000_000)
     remote = identify(web.add("/log", body)).files[0]
     rng = np.random.default_rng(15)
@@ -74,8 +72,8 @@ def test_parts_are_the_file(web: WebServer) -> None:
             file.read(start, size)
 
 
-def test_more_than_a_share_is_too_much(web: WebServer) -> None:
-    """A quarter of the file, from 4 MB on."""
+def test_reading_more_than_a_quarter_by_parts_is_refused(web: WebServer) -> None:
+    """The limit applies to files from 4 MB on."""
     remote = identify(web.add("/log", bytes(40_000_000))).files[0]
     file = RangedFile(remote, SAMPLE_LOGS)
     file.read(0, 9_900_000)
@@ -84,7 +82,7 @@ def test_more_than_a_share_is_too_much(web: WebServer) -> None:
 
 
 def test_a_bag_of_mcap_files_is_described_by_their_indexes(web: WebServer, tmp_path: Path) -> None:
-    """A folder of ROS 2 with metadata, a part of which is missing."""
+    """The folder has ROS 2 metadata, and one part is missing."""
     recording = imucal.read(SAMPLE_LOGS / "consumer_mems.mcap")
     names = [f"bag_{i}.mcap" for i in (0, 1, 10)]
     bag = tmp_path / "bag"

@@ -1,4 +1,4 @@
-"""The cache of remote logs: whole or not at all, capped, safe between processes."""
+"""The cache of remote logs: complete files only, limited in size, safe between processes."""
 
 import os
 import shutil
@@ -29,7 +29,7 @@ with fetched(sys.argv[1]) as copy:
 
 
 def start(url: str, script: str = FETCH) -> subprocess.Popen[str]:
-    """Fetch a log in a process of its own."""
+    """Fetch a log in a separate process."""
     return subprocess.Popen(  # noqa: S603 - our own code
         [sys.executable, "-c", script, url],
         stdout=subprocess.PIPE,
@@ -39,21 +39,21 @@ def start(url: str, script: str = FETCH) -> subprocess.Popen[str]:
 
 
 def copies(cache: Path) -> list[str]:
-    """Return the names of the copies in the cache, those on their way too."""
+    """Return the names of the copies in the cache, including incomplete ones."""
     return sorted(path.name for path in cache.glob("*/*"))
 
 
 def use(url: str) -> RemoteLog:
-    """Fetch a log and let it go."""
+    """Fetch a log and release it."""
     with fetched(url) as copy:
         assert copy.path.read_bytes() == BODY
         return copy.log
 
 
-def test_the_least_recently_used_goes_first(
+def test_the_least_recently_used_log_is_removed_first(
     web: WebServer, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Three logs of 100 kB in a cache of 250 kB; what is used again is young again."""
+    """The cache of 250 kB gets three logs of 100 kB; using a log renews it."""
     monkeypatch.setenv("IMUCAL_CACHE_SIZE", "250k")
     urls = [web.add(f"/{name}", BODY) for name in "abc"]
     for age, url in ((30, urls[0]), (20, urls[1])):
@@ -64,8 +64,8 @@ def test_the_least_recently_used_goes_first(
     assert copies(cache) == ["a", "c"]
 
 
-def test_a_log_that_is_used_stays(web: WebServer, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """However full the cache is, the others go; a cache of no size keeps nothing after use."""
+def test_a_log_in_use_is_not_removed(web: WebServer, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """If the cache is full, other logs are removed. A cache of size zero keeps nothing after use."""
     monkeypatch.setenv("IMUCAL_CACHE_SIZE", "150k")
     first, second = (web.add(f"/{name}", BODY) for name in "ab")
     with fetched(first) as copy:
@@ -79,8 +79,8 @@ def test_a_log_that_is_used_stays(web: WebServer, cache: Path, monkeypatch: pyte
     assert [path.suffix for path in cache.iterdir()] == []
 
 
-def test_a_log_that_is_not_to_be_kept_goes_after_use(web: WebServer, cache: Path) -> None:
-    """As a fleet asks for it; two uses, one inside the other, are one download."""
+def test_a_log_with_keep_false_is_removed_after_use(web: WebServer, cache: Path) -> None:
+    """Fleets use this option. Two nested uses need one download."""
     log = identify(web.add("/a", BODY), keep=False)
     with fetched(log) as outer:
         with fetched(replace(log)) as inner:
@@ -96,8 +96,8 @@ def test_a_log_that_is_not_to_be_kept_goes_after_use(web: WebServer, cache: Path
     assert list(cache.iterdir()) == []
 
 
-def test_a_copy_of_another_size_is_made_again(web: WebServer, cache: Path) -> None:
-    """Somebody cut it."""
+def test_a_copy_of_wrong_size_is_downloaded_again(web: WebServer, cache: Path) -> None:
+    """The copy was cut."""
     url = web.add("/a", BODY)
     use(url)
     (path,) = cache.glob("*/a")
@@ -106,7 +106,7 @@ def test_a_copy_of_another_size_is_made_again(web: WebServer, cache: Path) -> No
 
 
 def test_two_processes_download_once(web: WebServer, cache: Path) -> None:
-    """One waits for the other, which holds the lock."""
+    """The second process waits for the lock of the first."""
     url = web.add("/a", BODY, delay_s=0.2)
     running = [start(url) for _ in range(2)]
     said = [process.communicate(timeout=60) for process in running]
@@ -116,8 +116,8 @@ def test_two_processes_download_once(web: WebServer, cache: Path) -> None:
 
 
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGKILL])
-def test_an_interrupted_download_leaves_nothing_half(web: WebServer, cache: Path, sign: int) -> None:
-    """At once after Ctrl-C; after a kill with the next use of the cache."""
+def test_an_interrupted_download_leaves_no_incomplete_file(web: WebServer, cache: Path, sign: int) -> None:
+    """After Ctrl-C it is removed at once, after a kill with the next use of the cache."""
     url = web.add("/slow", BODY * 10, stall_after=200_000)
     process = start(url)
     while not list(cache.glob("*.part/slow")):
@@ -131,8 +131,10 @@ def test_an_interrupted_download_leaves_nothing_half(web: WebServer, cache: Path
     assert copies(cache) == ["other"]
 
 
-def test_a_full_disk_is_named(web: WebServer, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before the download where that is seen; what nobody uses is removed for it."""
+def test_a_full_disk_is_reported_before_the_download(
+    web: WebServer, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Unused logs are removed first."""
     old = web.add("/old", BODY)
     use(old)
 
@@ -151,8 +153,8 @@ def test_a_full_disk_is_named(web: WebServer, cache: Path, monkeypatch: pytest.M
     assert error.value.exit_code == 3
 
 
-def test_a_disk_that_fills_on_the_way_is_named(web: WebServer, cache: Path) -> None:
-    """A limit of the size of files stands for the disk."""
+def test_a_disk_that_fills_during_the_download_is_reported(web: WebServer, cache: Path) -> None:
+    """A limit of file sizes simulates the full disk."""
     limited = (
         "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))\n"
@@ -168,10 +170,10 @@ def test_a_disk_that_fills_on_the_way_is_named(web: WebServer, cache: Path) -> N
     assert list(cache.iterdir()) == []
 
 
-def test_the_cache_has_a_place_and_a_size(
+def test_the_environment_sets_folder_and_size_of_the_cache(
     tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of the user's, where nothing else is said."""
+    """The default is the cache folder of the user."""
     assert cache_folder() == cache
     monkeypatch.delenv("IMUCAL_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
@@ -195,8 +197,8 @@ def test_the_cache_has_a_place_and_a_size(
         cache_folder()
 
 
-def test_a_lock_file_that_is_removed_is_no_lock(tmp_path: Path) -> None:
-    """Who waits for it takes the new one."""
+def test_a_removed_lock_file_is_not_a_lock(tmp_path: Path) -> None:
+    """A waiting process takes the new lock file."""
     path = tmp_path / "a.lock"
     with locked(path) as had:
         assert had

@@ -1,4 +1,4 @@
-"""Logs in object stores: S3 as moto plays it, on this machine."""
+"""Logs in object stores: S3, simulated by moto on this machine."""
 
 import importlib.util
 import re
@@ -27,8 +27,8 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize("name", ["consumer_mems.mcap", "tactical.bag"])
-def test_a_log_in_s3_is_the_log(bucket: Any, name: str) -> None:  # noqa: ANN401
-    """The same samples; the URL in place of the path, and the ETag of the object."""
+def test_a_log_in_s3_equals_the_local_log(bucket: Any, name: str) -> None:  # noqa: ANN401
+    """Samples are equal. The recording contains the URL as path and the ETag of the object."""
     bucket.put_file(SAMPLE_LOGS / name, f"logs/run/{name}")
     url = f"s3://logs/run/{name}"
     here, there = imucal.read(SAMPLE_LOGS / name), imucal.read(url, checksums=True)
@@ -39,15 +39,15 @@ def test_a_log_in_s3_is_the_log(bucket: Any, name: str) -> None:  # noqa: ANN401
     assert describe(url).topics == describe(SAMPLE_LOGS / name).topics
 
 
-def test_the_index_of_a_log_in_s3(bucket: Any, cache: Path) -> None:  # noqa: ANN401
-    """By ranges: nothing is copied."""
+def test_a_log_in_s3_is_described_without_a_copy(bucket: Any, cache: Path) -> None:  # noqa: ANN401
+    """Only ranges are requested."""
     bucket.put_file(SAMPLE_LOGS / "consumer_mems.mcap", "logs/a.mcap")
     assert describe("s3://logs/a.mcap").topics[0].count == 36000
     assert list(cache.rglob("*.mcap")) == []
 
 
 def test_a_changed_object_is_downloaded_again(bucket: Any) -> None:  # noqa: ANN401
-    """In the same process: listings are not remembered."""
+    """The process must not cache listings."""
     bucket.pipe_file("logs/a.csv", b"one")
     with fetched("s3://logs/a.csv") as copy:
         assert copy.path.read_bytes() == b"one"
@@ -57,7 +57,7 @@ def test_a_changed_object_is_downloaded_again(bucket: Any) -> None:  # noqa: ANN
 
 
 def test_a_bag_with_metadata_is_one_log(bucket: Any, tmp_path: Path) -> None:  # noqa: ANN401
-    """A folder of ROS 2; so are its parts on this machine."""
+    """The log is a ROS 2 folder; its local parts belong together too."""
     recording = imucal.read(SAMPLE_LOGS / "tactical.bag")
     write_log(recording.between(0, 20), tmp_path / "bag")
     bucket.put(str(tmp_path / "bag"), "logs/bag", recursive=True)
@@ -74,7 +74,7 @@ def test_a_bag_with_metadata_is_one_log(bucket: Any, tmp_path: Path) -> None:  #
 
 
 def test_parts_of_one_recording_are_joined(bucket: Any, tmp_path: Path) -> None:  # noqa: ANN401
-    """By wildcards or a folder, as files of this machine are; in the natural order."""
+    """Wildcards or a folder select them in natural order, as for local files."""
     recording = imucal.read(SAMPLE_LOGS / "consumer_mems.mcap")
     for name, start in (("a_9.mcap", 0.0), ("a_10.mcap", 60.0)):
         write_log(recording.between(start, start + 60), tmp_path / name)
@@ -90,7 +90,7 @@ def test_parts_of_one_recording_are_joined(bucket: Any, tmp_path: Path) -> None:
 
 
 def test_a_name_may_contain_wildcard_characters(bucket: Any) -> None:  # noqa: ANN401
-    """What matches nothing is looked for as it is."""
+    """A pattern without matches is used as a name."""
     bucket.pipe_file("logs/run[1].csv", b"t,gx\n")
     assert expand("s3://logs/run[1].csv") == ["s3://logs/run[1].csv"]
     with pytest.raises(imucal.ReadError, match=r"s3://logs/run\[2\]\.csv: no log has this name"):
@@ -105,16 +105,18 @@ def test_a_name_may_contain_wildcard_characters(bucket: Any) -> None:  # noqa: A
         ("s3://logs/notes", "a folder with a.md; expected logs, such as .mcap, .bag or .csv files"),
     ],
 )
-def test_what_is_not_there_is_named(bucket: Any, url: str, said: str) -> None:  # noqa: ANN401
-    """Object, bucket, or logs."""
+def test_a_missing_object_bucket_or_log_is_reported(bucket: Any, url: str, said: str) -> None:  # noqa: ANN401
     bucket.pipe_file("logs/notes/a.md", b"dear")
     with pytest.raises(imucal.ReadError, match=re.escape(f"{url}: {said}")) as error:
         imucal.read(url)
     assert error.value.exit_code == 3
 
 
-def test_no_credentials(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: ANN401
-    """What to set; a public bucket needs none."""
+def test_missing_credentials_are_reported_with_a_solution(
+    bucket: Any,  # noqa: ANN401
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A public bucket needs none."""
     bucket.pipe_file("logs/a.csv", b"one")
     bucket.chmod("logs/a.csv", "public-read")
     monkeypatch.delenv("AWS_ACCESS_KEY_ID")
@@ -124,7 +126,7 @@ def test_no_credentials(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:  
     with pytest.raises(imucal.ReadError, match=re.escape(said)):
         imucal.read("s3://logs/a.csv")
     conf: dict[str, dict[str, object]] = {}
-    # Read when fsspec is loaded, which it is.
+    # fsspec reads the variable only when it is loaded, which is already done.
     fsspec.config.set_conf_env(conf, {"FSSPEC_S3_ANON": "true"})
     monkeypatch.setitem(fsspec.config.conf, "s3", conf["s3"])
     with fetched("s3://logs/a.csv") as copy:
@@ -132,8 +134,12 @@ def test_no_credentials(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:  
     bucket.clear_instance_cache()
 
 
-def test_no_access_and_no_answer(bucket: Any, web: WebServer, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: ANN401
-    """403 is not asked again; a server that is not there is, and both are named."""
+def test_denied_access_and_unreachable_servers_are_reported(
+    bucket: Any,  # noqa: ANN401
+    web: WebServer,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A request with status 403 is not repeated; one without an answer is."""
     monkeypatch.setenv("AWS_ENDPOINT_URL", web.url)
     bucket.clear_instance_cache()
     with pytest.raises(
@@ -151,8 +157,10 @@ def test_no_access_and_no_answer(bucket: Any, web: WebServer, monkeypatch: pytes
 
 
 @pytest.mark.parametrize("scheme", OBJECT_STORES)
-def test_a_missing_extra_is_reported_with_the_command(scheme: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The extra is there, and brings the package."""
+def test_a_missing_extra_is_reported_with_the_install_command(
+    scheme: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The extra exists and contains the package."""
     find = importlib.util.find_spec
     _, package, _ = OBJECT_STORES[scheme]
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == package else find(name))
@@ -170,14 +178,14 @@ def test_a_missing_extra_is_reported_with_the_command(scheme: str, monkeypatch: 
 
 
 def test_remote_folders_accept_the_extensions_of_all_formats() -> None:
-    """Those of the readers."""
+    """The list must equal that of the readers."""
     messages = {suffix for entry in FORMATS if entry.messages for suffix in entry.suffixes}
     assert set(_MESSAGES) == messages | set(ENDINGS)
     assert set(_TABLES) == {suffix for entry in FORMATS if not entry.messages for suffix in entry.suffixes}
 
 
-def test_every_command_takes_a_url(bucket: Any, tmp_path: Path) -> None:  # noqa: ANN401
-    """What they print and write names the URL; their files are named after the log."""
+def test_every_command_accepts_a_url(bucket: Any, tmp_path: Path) -> None:  # noqa: ANN401
+    """Outputs contain the URL, and files are named after the log."""
     bucket.pipe_file("logs/short.csv", one_axis())
     url = "s3://logs/short.csv"
     quick = ["-q", *OPTIONS]

@@ -1,4 +1,4 @@
-"""Logs in the stores of Google and Azure, where gcsfs and adlfs are installed."""
+"""Logs in the stores of Google and Azure, if gcsfs and adlfs are installed."""
 
 import pytest
 
@@ -10,13 +10,13 @@ from tests.remote.one_axis import one_axis
 
 
 @pytest.mark.parametrize(("scheme", "package"), [("gs", "gcsfs"), ("az", "adlfs"), ("abfs", "adlfs")])
-def test_a_log_is_read(scheme: str, package: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its identity, the bytes, by a name, by wildcards; and what is not there."""
+def test_a_log_in_google_or_azure_is_read(scheme: str, package: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The test checks identity, bytes, names, wildcards and missing objects."""
     with cloud_server(one_axis()) as environment:
         for name, value in environment.items():
             monkeypatch.setenv(name, value)
         library = pytest.importorskip(package, reason=f"{package} is part of an extra")
-        # Loaded now, as they look at the environment then.
+        # The package is loaded here, because it reads the environment when loaded.
         fsspec = pytest.importorskip("fsspec")
         if package == "gcsfs":
             monkeypatch.setitem(fsspec.config.conf, "gs", {"token": "anon"})
@@ -34,8 +34,7 @@ def test_a_log_is_read(scheme: str, package: str, monkeypatch: pytest.MonkeyPatc
         assert library
 
 
-def test_azure_without_an_account(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What to set."""
+def test_azure_without_an_account_is_reported_with_a_solution(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("adlfs", reason="adlfs is part of an extra")
     for name in ("AZURE_STORAGE_CONNECTION_STRING", "AZURE_STORAGE_ACCOUNT_NAME"):
         monkeypatch.delenv(name, raising=False)

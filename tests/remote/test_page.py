@@ -1,4 +1,4 @@
-"""The page about remote logs: its commands run, and it says what the program says."""
+"""The page about remote logs: its commands work, and it quotes the messages of the program."""
 
 import importlib.util
 import re
@@ -26,7 +26,7 @@ PAGE = ROOT / "docs" / "remote-logs.md"
 
 
 def typed(page: Path) -> list[str]:
-    """Return the lines of the page that a shell takes."""
+    """Return the shell commands of the page."""
     return [line for language, text in code_blocks(page) if language == "sh" for line in text.splitlines()]
 
 
@@ -36,7 +36,7 @@ def test_the_commands_of_the_page_run(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """With the sample logs in a bucket and behind a web server."""
+    """The sample logs are in a bucket and behind a web server."""
     if not bucket.exists("lab"):
         bucket.mkdir("lab")
     bucket.put_file(SAMPLE_LOGS / "tactical.bag", "lab/monday/tactical.bag")
@@ -59,20 +59,19 @@ def test_the_commands_of_the_page_run(
 
 
 def messages() -> list[str]:
-    """Return the messages of the page's table of what goes wrong."""
+    """Return the messages in the page's table of errors."""
     text = PAGE.read_text(encoding="utf-8").partition("## What goes wrong")[2]
     return re.findall(r"^\| `([^`]+)` \| [^|]* \| [^|]* \|$", text, re.MULTILINE)
 
 
-def test_the_page_quotes_the_messages() -> None:
-    """Each message, in the words of the source."""
+def test_the_messages_of_the_page_equal_those_of_the_source() -> None:
     assert len(messages()) >= 12
     said = [text for text in texts() if len(text) > 12]
     assert [message for message in messages() if not any(says(message, text) for text in said)] == []
 
 
 class Changing(list[int]):
-    """Lengths of answers, after each of which the object is another."""
+    """Lengths of answers; the object changes after each answer."""
 
     def __init__(self, web: WebServer, path: str) -> None:
         super().__init__()
@@ -131,7 +130,7 @@ def _changing(web: WebServer, patch: Patch) -> str:
     return web.add("/log.csv", BODY, cuts=Changing(web, "/log.csv"))
 
 
-#: The beginning of each message of the page -> what a server of the test does; returns the address.
+#: Start of each message of the page -> function that makes the server cause it and returns the address.
 CASES: dict[str, Callable[[WebServer, Patch], str]] = {
     "…: there is no such": lambda web, _: f"{web.url}/missing.csv",
     "…: access is denied": lambda web, _: web.add("/log.csv", BODY, statuses=[403]),
@@ -149,10 +148,10 @@ CASES: dict[str, Callable[[WebServer, Patch], str]] = {
 
 
 @pytest.mark.parametrize("message", messages())
-def test_each_message_comes_from_a_server_that_does_so(
+def test_each_message_of_the_page_occurs(
     message: str, web: WebServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With exit code 3, and without the secret of the address."""
+    """The exit code is 3, and the message contains no secret of the URL."""
     (case,) = [case for start, case in CASES.items() if message.startswith(start)]
     url = case(web, monkeypatch)
     secret = "?sig=SECRET" if url.startswith("http") else ""

@@ -1,4 +1,4 @@
-"""What is secret in a URL stays so: on the terminal, in reports, in the cache."""
+"""Secrets in URLs do not appear on the terminal, in reports or in the cache."""
 
 import json
 from pathlib import Path
@@ -17,8 +17,8 @@ from tests.remote.web_server import WebServer
 SECRET = "X-Amz-Signature=0815SECRET"  # noqa: S105 - of nothing
 
 
-def test_a_signed_url_leaves_no_trace(web: WebServer, tmp_path: Path, cache: Path) -> None:
-    """The report names the URL without the query; nothing else has it either."""
+def test_the_query_of_a_signed_url_is_not_stored(web: WebServer, tmp_path: Path, cache: Path) -> None:
+    """The report contains the URL without the query."""
     url = web.add("/logs/short.csv", one_axis())
     typed = f"{url.replace('//', '//me:WORD@')}?{SECRET}"
     done = run("fit", typed, "--model", "N", "-v", *OPTIONS, cwd=tmp_path)
@@ -34,7 +34,7 @@ def test_a_signed_url_leaves_no_trace(web: WebServer, tmp_path: Path, cache: Pat
     for secret in ("SECRET", "WORD"):
         assert secret not in done.stdout + done.stderr + names
         assert not any(secret.encode() in text for text in written)
-        # Nor where on this machine the copy was.
+        # The path of the local copy is not stored either.
         assert not any(bytes(cache) in text for text in written if text.startswith(b"{"))
 
 
@@ -42,7 +42,7 @@ def test_a_signed_url_leaves_no_trace(web: WebServer, tmp_path: Path, cache: Pat
     "command", ["fit", "info", "adev", "check --baseline x", "decompose", "export --to ros"]
 )
 def test_errors_show_no_secret(web: WebServer, tmp_path: Path, command: str) -> None:
-    """Exit code 3, as of a log of this machine that is not there."""
+    """The exit code is 3, as for a missing local log."""
     done = run(*command.split(), f"{web.url}/none.mcap?{SECRET}", cwd=tmp_path)
     if "--baseline" not in command:
         assert done.returncode == 3
@@ -52,8 +52,8 @@ def test_errors_show_no_secret(web: WebServer, tmp_path: Path, command: str) -> 
     assert "SECRET" not in done.stdout + done.stderr
 
 
-def test_errors_of_a_reader_name_the_url(web: WebServer, tmp_path: Path) -> None:
-    """Not the copy."""
+def test_errors_of_a_reader_contain_the_url(web: WebServer, tmp_path: Path) -> None:
+    """The path of the local copy would be meaningless to the user."""
     url = web.add("/notes.txt", b"Dear diary,\n")
     done = run("fit", f"{url}?{SECRET}", cwd=tmp_path)
     assert done.returncode == 3
@@ -61,7 +61,7 @@ def test_errors_of_a_reader_name_the_url(web: WebServer, tmp_path: Path) -> None
 
 
 def test_a_forgotten_command_shows_no_secret(tmp_path: Path) -> None:
-    """The hint can be typed, with the query added."""
+    """The proposed command works once the query is added."""
     done = run(f"https://host/log.mcap?{SECRET}", cwd=tmp_path)
     assert done.returncode == 2
     assert "to fit a log, type 'imucal fit https://host/log.mcap'" in done.stderr
@@ -81,38 +81,38 @@ def test_a_forgotten_command_shows_no_secret(tmp_path: Path) -> None:
         ("folder/what?.csv", "folder/what?.csv", None),
     ],
 )
-def test_urls_are_shown_and_named(url: str, public: str, name: str | None) -> None:
-    """Without user, query and fragment; a path of this machine as it is."""
+def test_urls_are_shown_without_secrets(url: str, public: str, name: str | None) -> None:
+    """User, query and fragment are removed; local paths do not change."""
     assert shown(url) == public
     assert is_url(url) == (name is not None)
     if name is not None:
         assert name_of(url) == name
 
 
-def test_names_of_reports() -> None:
-    """After the log, in the current folder."""
+def test_reports_of_remote_logs_are_named_after_the_log() -> None:
+    """They are in the current folder."""
     assert report_folder(f"https://host/x/still.mcap?{SECRET}") == Path("still-imucal")
     assert report_folder("s3://bucket/runs/monday/", "decomposed") == Path("monday-decomposed")
 
 
-def test_wildcards() -> None:
-    """A question mark begins the query of a web address."""
+def test_wildcards_in_urls_are_recognised() -> None:
+    """In a web address, a question mark starts the query."""
     assert has_wildcards("s3://bucket/a?.csv")
     assert has_wildcards("https://host/*.csv?sig=1")
     assert not has_wildcards("https://host/a[1].csv?sig=*")
 
 
 def test_messages_of_libraries_contain_no_secrets() -> None:
-    """The URL, with another one that they made of it."""
+    """A message can contain the URL and other URLs derived from it."""
     url = f"https://host/a.mcap?{SECRET}"
     text = f"400, url='{url}' (https://other/b?sig=SECRET2) failed"
     assert without_secrets(text, url) == "400, url='https://host/a.mcap' (https://other/b) failed"
 
 
-def test_a_log_is_fetched_once_though_nothing_is_kept(
+def test_a_log_is_fetched_once_with_an_empty_cache(
     web: WebServer, tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The log is not fetched again for its checksum, and its `repr` contains no secret."""
+    """The checksum needs no second download, and the log's `repr` contains no secret."""
     monkeypatch.setenv("IMUCAL_CACHE_SIZE", "0")
     url = web.add("/short.csv", one_axis())
     done = run("fit", url, "--model", "N", "--no-report", *OPTIONS, cwd=tmp_path)
@@ -122,8 +122,8 @@ def test_a_log_is_fetched_once_though_nothing_is_kept(
     assert "SECRET" not in repr(identify(f"{url}?{SECRET}"))
 
 
-def test_the_key_of_a_log(web: WebServer) -> None:
-    """32 digits; another for another place, ETag or size."""
+def test_the_key_of_a_log_depends_on_place_etag_and_size(web: WebServer) -> None:
+    """It has 32 digits."""
     first = identify(web.add("/a.csv", b"one"))
     assert len(first.key) == 32
     others = [("/b.csv", b"one", '"one"'), ("/a.csv", b"one", '"two"'), ("/a.csv", b"four", '"one"')]

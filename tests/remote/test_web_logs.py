@@ -1,4 +1,4 @@
-"""Logs behind http: what is read, what is asked for, and what goes wrong."""
+"""Logs behind http: requests, cached copies, and errors."""
 
 import re
 import socket
@@ -23,13 +23,13 @@ OPTIONS: dict[str, Any] = {"gyro_unit": "rad/s", "accel_unit": "m/s^2"}
 
 
 def kept(cache: Path) -> list[str]:
-    """Return the names of the files in the cache, locks left out."""
+    """Return the names of the files in the cache, without locks."""
     return sorted(path.name for path in cache.rglob("*") if path.is_file() and path.suffix != ".lock")
 
 
 @pytest.mark.parametrize("name", ["consumer_mems.mcap", "tactical.bag", "too_short.db3", "with_gaps.csv"])
-def test_a_log_behind_a_url_is_the_log(web: WebServer, name: str) -> None:
-    """The same samples, clocks and findings; the URL without its query in place of the path."""
+def test_a_log_behind_a_url_equals_the_local_log(web: WebServer, name: str) -> None:
+    """Samples, clocks and findings are equal; the path is the URL without its query."""
     log = SAMPLE_LOGS / name
     url = web.add(f"/logs/{name}", log.read_bytes())
     here, there = imucal.read(log, checksums=True), imucal.read(f"{url}?sig=SECRET", checksums=True)
@@ -44,7 +44,7 @@ def test_a_log_behind_a_url_is_the_log(web: WebServer, name: str) -> None:
 
 
 def test_a_second_read_requests_only_the_first_bytes(web: WebServer, cache: Path) -> None:
-    """The ETag says that the copy is still right; another signature makes no other log."""
+    """The ETag shows that the copy is valid, and the signature in the query does not matter."""
     url = web.add("/log.csv", TABLE)
     imucal.read(f"{url}?sig=1", **OPTIONS)
     before = web.sent
@@ -54,7 +54,7 @@ def test_a_second_read_requests_only_the_first_bytes(web: WebServer, cache: Path
 
 
 def test_a_changed_object_is_downloaded_again(web: WebServer) -> None:
-    """By its ETag; the size may be the same."""
+    """The ETag differs, even if the size is the same."""
     url = web.add("/log.csv", TABLE)
     first = imucal.read(url, **OPTIONS)
     web.add("/log.csv", TABLE.replace(b"0.0001,", b"0.0002,"), etag='"two"')
@@ -62,8 +62,8 @@ def test_a_changed_object_is_downloaded_again(web: WebServer) -> None:
     assert (first.series[0].samples != second.series[0].samples).any()
 
 
-def test_a_time_of_change_replaces_an_etag(web: WebServer, cache: Path) -> None:
-    """Where the server has none; then the query may choose the content."""
+def test_the_modification_time_replaces_a_missing_etag(web: WebServer, cache: Path) -> None:
+    """In this case the query may select the content, so it becomes part of the key."""
     url = web.add("/log.csv", TABLE, etag=None, modified="Sun, 22 Nov 2026 05:00:00 GMT")
     assert identify(url).etag == "Sun, 22 Nov 2026 05:00:00 GMT"
     assert identify(url).key == identify(url).key
@@ -72,24 +72,23 @@ def test_a_time_of_change_replaces_an_etag(web: WebServer, cache: Path) -> None:
     assert kept(cache) == ["log.csv"]
 
 
-def test_without_either_nothing_is_kept(web: WebServer, cache: Path) -> None:
-    """Nobody could say whether the copy is still right."""
+def test_a_log_without_etag_and_modification_time_is_not_cached(web: WebServer, cache: Path) -> None:
+    """The validity of a copy could not be checked."""
     url = web.add("/log.csv", TABLE, etag=None)
     assert imucal.read(url, **OPTIONS).series[0].n == 2000
     assert kept(cache) == []
 
 
-def test_a_broken_connection_is_gone_on_with(web: WebServer) -> None:
-    """The second request asks for what is missing."""
+def test_a_broken_download_is_continued(web: WebServer) -> None:
+    """The second request is for the missing bytes."""
     url = web.add("/log.csv", TABLE, cuts=[20_000, 30_000])
     with fetched(url) as copy:
         assert copy.path.read_bytes() == TABLE
     assert [part for _, part, _ in web.asked] == ["bytes=0-511", "", "bytes=20000-", "bytes=50000-"]
 
 
-def test_without_ranges_it_begins_again(web: WebServer) -> None:
-    """The server gives all or nothing."""
-    # A look gets all of it, too, and reads the start.
+def test_without_ranges_a_broken_download_restarts(web: WebServer) -> None:
+    # The first look also gets the complete file, and reads its start.
     url = web.add("/log.csv", TABLE, cuts=[len(TABLE), 20_000], ranges=False)
     told: list[int] = []
     with fetched(url, progress=lambda done, _: told.append(done)) as copy:
@@ -99,7 +98,7 @@ def test_without_ranges_it_begins_again(web: WebServer) -> None:
 
 
 def test_too_many_broken_connections_are_an_error(web: WebServer, cache: Path) -> None:
-    """Four without a byte more; nothing half is left."""
+    """The limit is four attempts without progress; no incomplete file is left."""
     url = web.add("/log.csv", TABLE, cuts=[1000, 0, 0, 0, 0])
     with pytest.raises(
         imucal.ReadError,
@@ -112,19 +111,19 @@ def test_too_many_broken_connections_are_an_error(web: WebServer, cache: Path) -
     assert [path.suffix for path in cache.iterdir()] == []
 
 
-def test_a_download_that_ends_early_again_and_again_ends(web: WebServer, cache: Path) -> None:
-    """Of a server without parts the start comes anew each time, which is no progress."""
+def test_repeated_failures_at_the_same_byte_are_an_error(web: WebServer, cache: Path) -> None:
+    """A server without ranges restarts each time, which is no progress."""
     url = web.add("/log.csv", TABLE, ranges=False, cuts=[len(TABLE), *[20_000] * 90])
     said = f"{url}: the connection ended after 20000 of {len(TABLE)} bytes (4 attempts); try again later"
     with pytest.raises(imucal.ReadError, match=re.escape(said)):
         imucal.read(url)
-    # A look, and four of which only the first came farther.
+    # The first look, and four attempts of which only the first one made progress.
     assert len(web.asked) == 1 + 4
     assert kept(cache) == []
 
 
-def test_a_little_farther_each_time_comes_to_the_end(web: WebServer) -> None:
-    """Also where each time begins anew."""
+def test_a_download_with_progress_in_each_attempt_succeeds(web: WebServer) -> None:
+    """Each attempt starts at the first byte."""
     cuts = [len(TABLE), *range(10_000, len(TABLE), 10_000)]
     url = web.add("/log.csv", TABLE, ranges=False, cuts=[*cuts])
     assert len(cuts) > 8
@@ -134,7 +133,7 @@ def test_a_little_farther_each_time_comes_to_the_end(web: WebServer) -> None:
 
 
 def test_an_object_that_changes_during_download_is_downloaded_again(web: WebServer) -> None:
-    """A part of the old object is never joined to one of the new."""
+    """Parts of the old and the new object must not be joined."""
     new = TABLE.replace(b"0.0001,", b"0.0002,")
 
     class Changing(list[int]):
@@ -158,8 +157,8 @@ def test_an_object_that_changes_during_download_is_downloaded_again(web: WebServ
         pass
 
 
-def test_busy_servers_are_asked_again(web: WebServer) -> None:
-    """Three times."""
+def test_requests_to_busy_servers_are_repeated(web: WebServer) -> None:
+    """There are at most three repetitions."""
     url = web.add("/log.csv", TABLE, statuses=[503, 429, 200, 500])
     assert imucal.read(url, **OPTIONS).series[0].n == 2000
     web.add("/log.csv", TABLE, etag='"two"', statuses=[503] * 4)
@@ -178,16 +177,18 @@ def test_busy_servers_are_asked_again(web: WebServer) -> None:
         (418, "the server answers 418 (I'm a Teapot); expected the file"),
     ],
 )  # fmt: skip
-def test_refusals_are_not_asked_again(web: WebServer, code: int, said: str) -> None:
-    """One request; the query is not shown."""
+def test_refused_requests_are_not_repeated(web: WebServer, code: int, said: str) -> None:
+    """The error does not contain the query."""
     url = web.add("/log.csv", TABLE, statuses=[code])
     with pytest.raises(imucal.ReadError, match=f"^{re.escape(f'{url}: {said}')}"):
         imucal.read(f"{url}?sig=SECRET")
     assert len(web.asked) == 1
 
 
-def test_a_server_that_is_silent_is_given_up(web: WebServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    """After IMUCAL_REMOTE_TIMEOUT."""
+def test_a_server_without_an_answer_is_an_error_after_the_timeout(
+    web: WebServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The timeout is IMUCAL_REMOTE_TIMEOUT."""
     url = web.add("/log.csv", TABLE, delay_s=0.5)
     monkeypatch.setenv("IMUCAL_REMOTE_TIMEOUT", "0.05")
     with pytest.raises(imucal.ReadError, match=r"log\.csv: no answer within 0\.05 s \(4 attempts\)"):
@@ -200,8 +201,8 @@ def test_a_server_that_is_silent_is_given_up(web: WebServer, monkeypatch: pytest
     assert error.value.exit_code == 2
 
 
-def test_no_server_and_no_network(web: WebServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A closed port; a host that nobody knows."""
+def test_an_unreachable_server_is_an_error(web: WebServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cases: a closed port, and an unknown host."""
     url = web.url
     with pytest.raises(
         imucal.ReadError, match=r"http://127\.0\.0\.1:1/log\.csv: the connection failed: .*refused"
@@ -218,8 +219,8 @@ def test_no_server_and_no_network(web: WebServer, monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize("start", [b"<!DOCTYPE html><title>Log in</title>", b"\xef\xbb\xbf\r\n <HTML>"])
-def test_a_web_page_is_no_log(web: WebServer, cache: Path, start: bytes) -> None:
-    """A login page comes with code 200."""
+def test_a_web_page_instead_of_a_log_is_refused(web: WebServer, cache: Path, start: bytes) -> None:
+    """A login page has status code 200."""
     url = web.add("/log.mcap", start + b" " * 9000, kind="text/html; charset=utf-8")
     said = "log.mcap: the answer is a web page (text/html), perhaps for login, not a log; expected the"
     with pytest.raises(imucal.ReadError, match=re.escape(said)):
@@ -229,22 +230,22 @@ def test_a_web_page_is_no_log(web: WebServer, cache: Path, start: bytes) -> None
     assert kept(cache) == []
 
 
-def test_an_empty_file_is_named(web: WebServer) -> None:
-    """As one of this machine; servers have no first byte to give."""
+def test_an_empty_remote_file_is_refused(web: WebServer) -> None:
+    """The error equals that for a local file, although servers refuse a range of an empty file."""
     url = web.add("/log.csv", b"")
     with pytest.raises(imucal.ReadError, match=r"log\.csv: the file is empty; expected a log"):
         imucal.read(url)
 
 
-def test_the_length_may_be_unknown(web: WebServer) -> None:
-    """Chunks until the connection is closed."""
+def test_a_file_of_unknown_length_is_read(web: WebServer) -> None:
+    """The server sends chunks until it closes the connection."""
     url = web.add("/log.csv", TABLE, length=False, ranges=False)
     assert identify(url).size is None
     assert imucal.read(url, **OPTIONS).series[0].n == 2000
 
 
 def test_redirects_are_followed(web: WebServer) -> None:
-    """The name is that of the address that was given."""
+    """The log keeps the name of the given address."""
     web.add("/store/0815", TABLE)
     url = web.add("/log.csv", b"", redirect="/store/0815?sig=SECRET")
     assert imucal.read(url, **OPTIONS).source.path == url
@@ -259,8 +260,8 @@ def test_redirects_are_followed(web: WebServer) -> None:
         ("/log.csv", "without end"),
     ],
 )
-def test_redirects_stay_on_the_web(web: WebServer, target: str, where: str) -> None:
-    """And come to an end; the secret of the address is not shown."""
+def test_endless_and_foreign_redirects_are_refused(web: WebServer, target: str, where: str) -> None:
+    """The error does not contain the secret of the address."""
     url = web.add("/log.csv", b"", redirect=target)
     said = f"{url}: the server redirects {where}; expected a file behind https:// or http://"
     with pytest.raises(imucal.ReadError, match=f"^{re.escape(said)}$") as error:
@@ -268,8 +269,8 @@ def test_redirects_stay_on_the_web(web: WebServer, target: str, where: str) -> N
     assert error.value.exit_code == 3
 
 
-def test_name_and_password(web: WebServer, tmp_path: Path) -> None:
-    """Of the URL, or of ~/.netrc; neither is shown, and a redirect to another host gets neither."""
+def test_credentials_come_from_the_url_or_netrc(web: WebServer, tmp_path: Path) -> None:
+    """They are never shown, and a redirect to another host does not get them."""
     web.add("/log.csv", TABLE, login="Basic bWU6YUBi")
     host = web.url.removeprefix("http://")
     source = imucal.read(f"http://me:a%40b@{host}/log.csv", **OPTIONS, checksums=True).source
@@ -281,8 +282,8 @@ def test_name_and_password(web: WebServer, tmp_path: Path) -> None:
     assert imucal.read(f"{web.url}/log.csv", **OPTIONS).series[0].n == 2000
 
 
-def test_names_as_people_type_them(web: WebServer) -> None:
-    """Spaces and letters beyond ASCII, quoted or not; names that no file may have."""
+def test_urls_can_contain_spaces_and_umlauts(web: WebServer) -> None:
+    """They may be quoted or not. Impossible file names are replaced."""
     web.add("/Läufe 1/log 1.csv", TABLE)
     for path in ("/Läufe 1/log 1.csv", "/L%C3%A4ufe%201/log%201.csv"):
         with fetched(web.url + path) as copy:
@@ -304,14 +305,14 @@ def test_names_as_people_type_them(web: WebServer) -> None:
         ("http://host:port/log.csv", "http://host:port/log.csv: can't be read: "),
     ],
 )
-def test_other_schemes_are_refused(url: str, said: str) -> None:
-    """With those that are read."""
+def test_unsupported_schemes_are_refused(url: str, said: str) -> None:
+    """The error lists the supported schemes."""
     with pytest.raises(imucal.ReadError, match=re.escape(said)):
         imucal.read(url)
 
 
-def test_a_url_is_text() -> None:
-    """A Path takes one of its slashes away."""
+def test_a_url_as_a_path_object_is_refused() -> None:
+    """A Path removes one of the two slashes."""
     with pytest.raises(
         imucal.ReadError, match=r"^https://host/log\.csv: a URL that was a Path; expected https://"
     ):
@@ -323,8 +324,7 @@ PAGE = b"""<html><h1>Index of /logs</h1><a href="../">up</a> <a href='a_10.csv'>
 <a href="/logs/notes.md">c</a> <a href="old/">d</a> <a href="http://elsewhere/a_3.csv">e</a></html>"""
 
 
-def test_wildcards_and_folders_of_a_web_server(web: WebServer) -> None:
-    """By the page that lists the folder."""
+def test_wildcards_of_a_web_server_use_its_folder_listing(web: WebServer) -> None:
     web.add("/logs/", PAGE, kind="text/html")
     assert expand(f"{web.url}/logs/a_*.csv") == [f"{web.url}/logs/a_10.csv", f"{web.url}/logs/a_2.csv?sig=1"]
     assert expand(f"{web.url}/logs/") == [f"{web.url}/logs/"]

@@ -1,4 +1,4 @@
-"""A web server of files with ranges, and with the faults that servers have."""
+"""A web server for files, with ranges and with typical faults of servers."""
 
 import re
 import threading
@@ -14,8 +14,9 @@ from urllib.parse import unquote, urlsplit
 class Served:
     """A file of the server.
 
-    `cuts` are the numbers of bytes after which the next answers break off; `statuses` the codes of the next
-    answers; `delay_s` is waited before each, and after `stall_after` bytes nothing comes any more.
+    `cuts` are the numbers of bytes after which the next answers break off, and `statuses` are the codes of
+    the next answers. The server waits `delay_s` before each answer, and sends nothing after `stall_after`
+    bytes.
     """
 
     body: bytes
@@ -33,7 +34,7 @@ class Served:
 
 
 class WebServer:
-    """The files by their paths, and what was asked for."""
+    """The files by their paths, and a list of requests."""
 
     def __init__(self) -> None:
         self.files: dict[str, Served] = {}
@@ -70,7 +71,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(file, part)
 
     def do_HEAD(self) -> None:
-        """Refuse, as servers do where an address is signed for GET."""
+        """Refuse, like servers whose addresses are signed only for GET."""
         self._say(403)
 
     def _send(self, file: Served, part: str) -> None:
@@ -95,7 +96,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header("Connection", "close")
             self.close_connection = True
         self.end_headers()
-        # A look at the first bytes is let through.
+        # A request for the first bytes is not cut.
         if file.cuts and len(data) > 512:
             data = data[: file.cuts.pop(0)]
             self.close_connection = True
@@ -113,14 +114,14 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def log_message(self, *_: object) -> None:
-        """Keep quiet."""
+        """Log nothing."""
 
 
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
 
     def handle_error(self, *_: object) -> None:
-        """Keep quiet about clients that leave."""
+        """Ignore clients that disconnect."""
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Downstream files: read back by the consumers' parsers, honest about what is in them."""
+"""Exports are read back by parsers of the target programs, and their comments explain the numbers."""
 
 import json
 import math
@@ -35,15 +35,15 @@ pytestmark = pytest.mark.usefixtures("pairs_are_found_once")
 
 GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
 _AXES: tuple[Axis, ...] = ("x", "y", "z")
-#: Reports don't change, so that one of each will do.
+#: Reports are immutable, so one of each kind is enough.
 consumer_report = cache(make_consumer_report)
-#: N and K of the fit, in place of what covers it.
+#: N and K of the fit, instead of the numbers that cover the spectrum.
 fitted = partial(ExportOptions, numbers="as-fitted")
 
 
 @cache
 def _plain_report() -> Report:
-    """Six axes of N + B + K, all identified, small enough for numbers with an exponent."""
+    """Return six axes of N + B + K, all estimated, some small enough for numbers with an exponent."""
     scales: dict[Axis, float] = {"x": 1.0, "y": 2.0, "z": 3.0}
     axes = tuple(
         axis_report(sensor, axis, f"N={n * scale!r} + B=1e-5 + K={k * scale!r}")
@@ -54,17 +54,17 @@ def _plain_report() -> Report:
 
 
 def _expected(report: Report, key: str, symbol: str) -> float:
-    """Return the largest of the sensor's axes for ``gyro``, the axis's own for ``gyro_x``; bounds count."""
+    """Return the largest value of the sensor for ``gyro``, the axis's own for ``gyro_x``; bounds count."""
     found = [axis.fit[symbol] for axis in report.axes if axis.name.startswith(key)]
     return max(estimate.high if estimate.value is None else estimate.value for estimate in found)
 
 
-#: What a format has in place of N and K.
+#: Symbols of formats that do not have N and K.
 _SYMBOLS = {"ros": {"N"}, "carla": {"N"}, "dlio": {"N~"}}
 
 
 def _agree(report: Report, recovered: Recovered) -> None:
-    """Hold what was read to the report: to rounding, and three digits where a comment says it."""
+    """Compare recovered values with the report, up to rounding; those in comments have three digits."""
     for (key, symbol), value in recovered.items():
         if symbol != "T":
             rel = 1e-7 if symbol.isalpha() else 6e-3
@@ -73,10 +73,10 @@ def _agree(report: Report, recovered: Recovered) -> None:
 
 @pytest.mark.parametrize("make", [_plain_report, consumer_report])
 @pytest.mark.parametrize("target", READERS)
-def test_a_consumer_reads_the_fits_own_numbers(
+def test_as_fitted_exports_contain_n_and_k_of_the_fit(
     target: str, make: Callable[[], Report], tmp_path: Path
 ) -> None:
-    """What the consumer's parser recovers is the fit's N and K, to rounding."""
+    """The target's parser recovers them up to rounding."""
     report = make()
     (path,) = export(report, target, tmp_path, fitted())
     assert path == tmp_path / TARGETS[target].file_name
@@ -90,7 +90,7 @@ def test_a_consumer_reads_the_fits_own_numbers(
 
 @pytest.mark.parametrize("target", TARGETS)
 def test_every_file_explains_its_numbers(target: str) -> None:
-    """Tool and version, log, rate, kind, formula, axes and inflation stand in a comment."""
+    """A comment contains tool, version, log, rate, kind, formula, axes and inflation."""
     text = render(consumer_report(), target, ExportOptions(inflate={"white": 2, "walk": 10}))
     for said in (
         "imucal 0.1.0",
@@ -107,7 +107,7 @@ def test_every_file_explains_its_numbers(target: str) -> None:
 
 
 @pytest.mark.parametrize("target", READERS)
-def test_inflation_multiplies_deviations(target: str, tmp_path: Path) -> None:
+def test_inflation_multiplies_n_and_k(target: str, tmp_path: Path) -> None:
     """``white=2, walk=10`` doubles N and multiplies K by ten, in every format."""
     report = _plain_report()
     (path,) = export(report, target, tmp_path, fitted(inflate={"white": 2.0, "walk": 10.0}))
@@ -125,16 +125,16 @@ def test_the_axis_policy_chooses_or_averages(policy: AxisPolicy, scale: float) -
     assert data["accelerometer_random_walk"] == pytest.approx(scale * 1e-5)
 
 
-def test_a_bound_is_written_and_reported() -> None:
-    """A term that the data don't show is written as its upper bound, with words beside it."""
+def test_the_upper_bound_of_an_undetected_term_is_written() -> None:
+    """A comment explains that the number is an upper bound."""
     text = render(consumer_report(), "kalibr", fitted(axis_policy="y"))
     assert yaml.safe_load(text)["gyroscope_random_walk"] == 4.1e-7
     assert "K of gyro_y, UPPER BOUND (95%): the data do not show this term" in text
     assert "not detected, so the 95% upper bound is written: K of accel_y, K of gyro_y" in text
 
 
-def test_a_bound_comes_with_its_ratio_to_the_curve() -> None:
-    """The largest K under the curve, by hand: its line touches the curve where they are closest."""
+def test_a_bound_is_compared_with_the_measured_curve() -> None:
+    """The largest K under the curve is computed by hand: its line touches the curve at the closest point."""
     report = consumer_report()
     curve = report.axes[1].fit.curve
     exact = (2 * curve.m.astype(float) ** 2 + 1) / (6 * curve.m * 200.0)
@@ -145,8 +145,8 @@ def test_a_bound_comes_with_its_ratio_to_the_curve() -> None:
     assert Numbers(report=report, options=ExportOptions(), target="x").of(report.axes[0], "K").excess is None
 
 
-def test_a_number_comes_with_its_interval_and_alternatives() -> None:
-    """The limits are the fit's, inflated as the number is; "B or GM" stands beside the value."""
+def test_a_comment_contains_interval_and_alternatives() -> None:
+    """The limits of the fit are inflated like the number; "B or GM" follows the value."""
     report = _plain_report()
     axis = report.axes[2]
     estimates = tuple(
@@ -161,8 +161,8 @@ def test_a_number_comes_with_its_interval_and_alternatives() -> None:
     assert "or: [GM]" in render(doubtful, "yaml", fitted())
 
 
-def test_a_bound_is_refused_on_request() -> None:
-    """``refuse`` names the axis, the term, its bound and the ways out."""
+def test_refuse_makes_an_undetected_term_an_error() -> None:
+    """The error contains the axis, the term, its bound and the solutions."""
     with pytest.raises(DataError) as error:
         render(consumer_report(), "kalibr", ExportOptions(unidentified="refuse"))
     assert str(error.value) == (
@@ -174,10 +174,8 @@ def test_a_bound_is_refused_on_request() -> None:
 
 @pytest.mark.parametrize("sensor", list(Sensor))
 @pytest.mark.parametrize("target", READERS)
-def test_the_half_of_a_log_of_one_sensor_is_written_and_said(
-    target: str, sensor: Sensor, tmp_path: Path
-) -> None:
-    """The consumer's parser reads that sensor's numbers and no other's; the comment names what is missing."""
+def test_a_log_of_one_sensor_gives_half_of_the_file(target: str, sensor: Sensor, tmp_path: Path) -> None:
+    """The target's parser reads only that sensor's numbers; the comment names the missing sensor."""
     whole = _plain_report()
     report = replace(whole, axes=tuple(axis for axis in whole.axes if axis.sensor is sensor))
     (path,) = export(report, target, tmp_path, fitted())
@@ -191,16 +189,16 @@ def test_the_half_of_a_log_of_one_sensor_is_written_and_said(
 
 @pytest.mark.parametrize("target", [name for name, target in TARGETS.items() if target.per_axis])
 def test_a_missing_axis_is_an_error(target: str) -> None:
-    """A format with a number for each axis can't do with one of them; the message says what was found."""
-    if target in {"gm", "yaml"}:  # these take the axes that are there
+    """A format with a number per axis needs all three axes; the error lists the existing ones."""
+    if target in {"gm", "yaml"}:  # these accept any axes
         assert "gyroscope" in render(small_report(), target)
         return
     with pytest.raises(DataError, match=rf"no gyro_y, which {target} needs; found gyro_x;"):
         render(small_report(), target)
 
 
-def test_a_number_that_is_not_positive_is_refused() -> None:
-    """Kalibr raises on zero; no file gets one."""
+def test_a_number_of_zero_is_refused() -> None:
+    """Kalibr raises on zero, so no file may contain it."""
     axis = axis_report(GYRO, "x", "N=0.0 + B=1e-5 + K=1e-7")
     report = replace(consumer_report(), axes=(axis, *consumer_report().axes[3:]))
     with pytest.raises(DataError, match=r"gyro_x: N is 0\.0, but kalibr needs a positive number"):
@@ -208,7 +206,7 @@ def test_a_number_that_is_not_positive_is_refused() -> None:
 
 
 def test_all_writes_every_format(tmp_path: Path) -> None:
-    """``all`` makes the folder and leaves nothing but the files in it."""
+    """``all`` creates the folder, which then contains only these files."""
     folder = tmp_path / "a" / "b"
     written = export(consumer_report(), "all", folder)
     assert sorted(folder.iterdir()) == sorted(written)
@@ -216,14 +214,14 @@ def test_all_writes_every_format(tmp_path: Path) -> None:
 
 
 def test_a_refusal_writes_nothing(tmp_path: Path) -> None:
-    """Every text is made before the first file is written."""
+    """Every text is rendered before the first file is written."""
     with pytest.raises(DataError):
         export(consumer_report(), "all", tmp_path / "out", ExportOptions(unidentified="refuse"))
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_tuned_by_hand_stays(tmp_path: Path) -> None:
-    """One that imucal wrote is replaced."""
+def test_a_file_changed_by_hand_is_not_overwritten(tmp_path: Path) -> None:
+    """A file written by imucal is replaced."""
     for target in TARGETS.values():
         (path,) = export(consumer_report(), target.name, tmp_path)
         assert export(consumer_report(), target.name, path) == (path,)
@@ -233,8 +231,8 @@ def test_a_file_tuned_by_hand_stays(tmp_path: Path) -> None:
         assert path.read_text() == "tuned by hand"
 
 
-def test_one_file_tuned_by_hand_stops_the_export_of_all(tmp_path: Path) -> None:
-    """Before the first file is written."""
+def test_one_file_changed_by_hand_stops_the_export_of_all(tmp_path: Path) -> None:
+    """The check precedes the first write."""
     last = list(TARGETS.values())[-1].file_name
     (tmp_path / last).write_text("tuned by hand")
     with pytest.raises(WriteError, match=f"{re.escape(last)}: exists and was not written by imucal"):
@@ -243,7 +241,7 @@ def test_one_file_tuned_by_hand_stops_the_export_of_all(tmp_path: Path) -> None:
 
 
 def test_a_file_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
-    """A missing folder is named, and nothing is left behind."""
+    """The error names the missing folder, and nothing is left behind."""
     with pytest.raises(WriteError, match=r"imu\.yaml: can't be written: No such file or directory"):
         export(consumer_report(), "kalibr", tmp_path / "missing" / "imu.yaml")
     (tmp_path / "file").write_text("")
@@ -262,8 +260,8 @@ def test_a_file_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
         ("robot_localization", "ros"),
     ],
 )
-def test_formats_answer_to_the_names_people_use(asked: str, name: str) -> None:
-    """Case, hyphens and underscores don't matter; well-known other names work."""
+def test_common_names_of_formats_are_accepted(asked: str, name: str) -> None:
+    """Case, hyphens and underscores are ignored, and well-known aliases work."""
     assert find_target(asked).name == name
 
 
@@ -278,8 +276,8 @@ def test_formats_answer_to_the_names_people_use(asked: str, name: str) -> None:
         ("openvisn", "openvins"),
     ],
 )
-def test_a_slip_is_suggested(typed: str, meant: str) -> None:
-    """One letter missing, too much or wrong, or two that changed places: the name that was meant."""
+def test_the_intended_name_is_suggested_for_a_typing_error(typed: str, meant: str) -> None:
+    """Typing errors: a missing, additional, wrong or swapped letter."""
     with pytest.raises(
         ValueError, match=rf"no downstream format '{typed}'; did you mean {meant}\? choose one of"
     ):
@@ -290,15 +288,15 @@ def test_a_slip_is_suggested(typed: str, meant: str) -> None:
     "other",
     ["lvi-sam", "dlo", "orbslam2", "okvis", "fast-livo", "rtabmap", "vio", "openvslam", "px5", "isaac"],
 )
-def test_another_program_is_not_taken_for_one_of_ours(other: str) -> None:
-    """The list is all that is offered, and what is known of the name."""
+def test_no_name_is_suggested_for_an_unsupported_program(other: str) -> None:
+    """The error lists the formats and known facts about the name."""
     with pytest.raises(ValueError, match=f"no downstream format '{other}'") as error:
         find_target(other)
     assert "did you mean" not in str(error.value)
 
 
-def test_a_name_that_means_several_is_answered() -> None:
-    """Isaac is two programs."""
+def test_an_ambiguous_name_is_explained() -> None:
+    """Isaac is the name of two programs."""
     with pytest.raises(
         ValueError, match="'isaac'; Isaac ROS is isaac-ros, Isaac Sim is isaac-sim; choose one of"
     ):
@@ -321,7 +319,7 @@ def test_a_name_that_means_several_is_answered() -> None:
     ],
 )
 def test_wrong_options_are_refused(options: dict[str, object], message: str) -> None:
-    """The library checks what the caller asks."""
+    """The library checks the options of its callers."""
     with pytest.raises(ValueError, match=message):
         render(consumer_report(), "kalibr", ExportOptions(**options))  # type: ignore[arg-type]
 
@@ -330,8 +328,8 @@ def test_wrong_options_are_refused(options: dict[str, object], message: str) -> 
     ("value", "text"),
     [(200, "200.0"), (1e-5, "1.0e-05"), (1.25e-7, "1.25e-07"), (1e16, "1.0e+16"), (0.0, "0.0")],
 )
-def test_numbers_have_a_point(value: float, text: str) -> None:
-    """YAML 1.1 takes 1e-05 for a string and OpenCV 200 for an integer."""
+def test_written_numbers_have_a_decimal_point(value: float, text: str) -> None:
+    """YAML 1.1 reads 1e-05 as a string, and OpenCV reads 200 as an integer."""
     assert real(value) == text
     assert yaml.safe_load(text) == value
     assert isinstance(yaml.safe_load(text), float)
@@ -339,28 +337,27 @@ def test_numbers_have_a_point(value: float, text: str) -> None:
     assert "e" not in decimal(value)
 
 
-def test_only_finite_numbers_are_spelled() -> None:
-    """NaN never reaches a file."""
+def test_only_finite_numbers_are_written() -> None:
     with pytest.raises(ValueError, match="only finite numbers can be written, got nan"):
         real(math.nan)
 
 
 def test_a_comment_stays_on_its_line() -> None:
-    """A log's name with a line break can't smuggle a key into the file."""
+    """A line break in a log's name must not add a key to the file."""
     assert comment(["log: a\nb: 1", "ok"]) == "# log: a b: 1\n# ok"
 
 
 @pytest.mark.parametrize("target", READERS)
 def test_a_hostile_log_name_breaks_no_file(target: str, tmp_path: Path) -> None:
-    """Quotes, hyphens, braces and line breaks in a path reach no parser."""
+    """The path contains quotes, hyphens, braces and line breaks."""
     source = Source(path='a--b"\n:{%\\.bag', format="rosbag1", topics=('/i"mu',), message_types=("x",))
     report = replace(_plain_report(), source=source)
     (path,) = export(report, target, tmp_path, ExportOptions(topic="/imu/data"))
     assert READERS[target](path)
 
 
-def test_a_topic_can_be_given_or_is_said_to_be_missing() -> None:
-    """A table names no topic: the file says so."""
+def test_a_topic_is_given_or_reported_as_missing() -> None:
+    """A table has no topic, so a comment asks the user to set it."""
     table = replace(_plain_report(), source=Source(path="a.csv", format="csv", topics=("gx", "gy")))
     assert 'rostopic: "/imu0"  # the log names no topic; set yours' in render(table, "kalibr")
     assert 'rostopic: "/my/imu"  # as given' in render(table, "kalibr", ExportOptions(topic="/my/imu"))
@@ -368,7 +365,7 @@ def test_a_topic_can_be_given_or_is_said_to_be_missing() -> None:
 
 @cache
 def _two_rates() -> Report:
-    """Return a gyroscope at 200 Hz and an accelerometer at 100, as of a RealSense."""
+    """Return a gyroscope at 200 Hz and an accelerometer at 100 Hz, as in a RealSense."""
     models = ("N=1e-3 + B=1e-5 + K=1e-5", "N=2e-3 + B=1e-5 + K=2e-5", "N=3e-3 + B=1e-5 + K=3e-5")
     slow = tuple(
         axis_report(ACCEL, axis, model, rate_hz=100.0) for axis, model in zip(_AXES, models, strict=True)
@@ -377,8 +374,8 @@ def _two_rates() -> Report:
 
 
 @pytest.mark.parametrize("target", READERS)
-def test_every_number_is_for_the_rate_in_the_file(target: str, tmp_path: Path) -> None:
-    """A reader knows one rate, that of the file, and finds N and K of both sensors with it."""
+def test_every_number_applies_to_the_rate_in_the_file(target: str, tmp_path: Path) -> None:
+    """The target uses this single rate and recovers N and K of both sensors with it."""
     report = _two_rates()
     (path,) = export(report, target, tmp_path, fitted())
     _agree(report, READERS[target](path))
@@ -388,8 +385,8 @@ def test_every_number_is_for_the_rate_in_the_file(target: str, tmp_path: Path) -
     assert "the rates differ" not in render(_plain_report(), target)
 
 
-def test_sensors_of_two_rates_in_the_formats_that_know_two() -> None:
-    """By hand: the variance of a sample at its own rate; the steps of a state space."""
+def test_some_formats_have_a_rate_for_each_sensor() -> None:
+    """Computed by hand: the variance of a sample at its own rate, and the steps of a state space."""
     ros = yaml.safe_load(render(_two_rates(), "ros"))
     assert ros["angular_velocity_covariance"][0] == pytest.approx(1e-5**2 * 200)
     assert ros["linear_acceleration_covariance"][8] == pytest.approx(3e-3**2 * 100)
@@ -398,8 +395,8 @@ def test_sensors_of_two_rates_in_the_formats_that_know_two() -> None:
     assert fast["acc_cov"] == pytest.approx(3e-3**2 * 200)
 
 
-def test_one_axis_a_sensor_is_enough_where_one_is_asked_for() -> None:
-    """And where the axes' rates differ, the first one's is written."""
+def test_one_axis_per_sensor_is_enough_if_one_is_requested() -> None:
+    """If the rates of the axes differ, the rate of the first one is written."""
     axes = _plain_report().axes
     alone = replace(_plain_report(), axes=(axes[0], axes[3]))
     assert yaml.safe_load(render(alone, "kalibr", ExportOptions(axis_policy="x")))["update_rate"] == 200
@@ -407,15 +404,15 @@ def test_one_axis_a_sensor_is_enough_where_one_is_asked_for() -> None:
     assert yaml.safe_load(render(odd, "kalibr"))["update_rate"] == 200.02
 
 
-def test_a_rate_the_user_gave_is_not_called_measured() -> None:
-    """The finding of the reader decides."""
+def test_a_rate_given_by_the_user_is_reported_as_given() -> None:
+    """The reader's finding contains this information."""
     finding = Finding(level="warning", code="rate-given", text="the rate is the one given")
     text = render(replace(_plain_report(), findings=(finding,)), "kalibr")
     assert "# gyroscope: f = 200 Hz (given by the user)" in text
 
 
 def test_opencv_files_start_with_their_directive(tmp_path: Path) -> None:
-    """OpenCV reads YAML only behind ``%YAML:1.0`` on the first line."""
+    """OpenCV requires ``%YAML:1.0`` on the first line."""
     for target in ("openvins", "vins", "orbslam3"):
         text = render(consumer_report(), target)
         assert text.startswith("%YAML:1.0\n")
@@ -423,8 +420,8 @@ def test_opencv_files_start_with_their_directive(tmp_path: Path) -> None:
         opencv(tmp_path / "a.yaml")
 
 
-def test_the_old_loader_of_orbslam3_gets_its_integer(tmp_path: Path) -> None:
-    """It wants IMU.Frequency as an integer, the new one as a real: the comment holds the other line."""
+def test_a_comment_contains_the_integer_rate_for_the_old_orbslam3(tmp_path: Path) -> None:
+    """The old loader reads IMU.Frequency as an integer, the new one as a real."""
     text = render(_plain_report(), "orbslam3")
     (tmp_path / "new.yaml").write_text(text)
     new = opencv(tmp_path / "new.yaml")
@@ -438,13 +435,13 @@ def test_the_old_loader_of_orbslam3_gets_its_integer(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("target", ["lio-sam", "fast-lio", "fast-livo2", "point-lio"])
-def test_the_wrapper_for_ros_2_is_told_of(target: str) -> None:
-    """As the comment says, the keys stand under the node's parameters there."""
+def test_the_comment_mentions_the_ros_2_wrapper(target: str) -> None:
+    """The wrapper expects the keys under the node's parameters."""
     assert "ROS 2: put" in render(_plain_report(), target)
 
 
-def test_gazebo_takes_a_gauss_markov_term_where_no_walk_was_found(tmp_path: Path) -> None:
-    """Gazebo's steady state is stddev * sqrt(T/2): sigma sqrt(2/T) gives back sigma."""
+def test_gazebo_gets_a_gauss_markov_term_if_there_is_no_walk(tmp_path: Path) -> None:
+    """Gazebo's steady state is stddev * sqrt(T/2), so the file has sigma sqrt(2/T)."""
     sigma, time = 4e-5, 90.0
     slow = axis_report(GYRO, "x", f"N=1e-4 + GM(sigma={sigma}, T={time})", bounds={"B": 1e-6, "K": 1e-7})
     report = replace(_plain_report(), axes=(slow, *_plain_report().axes[1:]))
@@ -463,7 +460,7 @@ def test_gazebo_takes_a_gauss_markov_term_where_no_walk_was_found(tmp_path: Path
 
 
 def _slow_report(gyro: str, accel: str) -> Report:
-    """Six axes of two models; the terms that they lack are bounded."""
+    """Return six axes of two models, with bounds for missing terms."""
     models = ((GYRO, gyro), (ACCEL, accel))
     bounds = {
         text: {symbol: bound for symbol, bound in (("B", 1e-6), ("K", 1e-7)) if f"{symbol}=" not in text}
@@ -475,8 +472,8 @@ def _slow_report(gyro: str, accel: str) -> Report:
     return replace(_plain_report(), axes=axes)
 
 
-def test_kf_gins_takes_the_steady_state_of_gauss_markov_terms() -> None:
-    """A term's sigma stands in gbstd (deg/h) and abstd (mGal), its T in corrtime (h)."""
+def test_kf_gins_gets_the_steady_state_of_gauss_markov_terms() -> None:
+    """Keys: gbstd (deg/h) and abstd (mGal) contain the sigma of a term, corrtime (h) its T."""
     report = _slow_report("N=1e-4 + GM(sigma=4e-5, T=7200.0)", "N=1e-4 + GM(sigma=5e-4, T=7200.0)")
     data = yaml.safe_load(render(report, "kf-gins", fitted()))["imunoise"]
     assert data["corrtime"] == 2
@@ -484,8 +481,8 @@ def test_kf_gins_takes_the_steady_state_of_gauss_markov_terms() -> None:
     assert data["abstd"] == pytest.approx([50.0] * 3)
 
 
-def test_a_walk_that_is_a_gauss_markov_term_is_written_once() -> None:
-    """The state space has its state, the terms say what K is part of, kf-gins takes sigma and T."""
+def test_a_walk_explained_by_a_gauss_markov_term_is_written_once() -> None:
+    """The state space has the Gauss-Markov state, the comment explains K, kf-gins gets sigma and T."""
     walk = 4e-5 * math.sqrt(2 / 7200)
     found = Estimate(
         key="K",
@@ -514,8 +511,8 @@ def test_a_walk_that_is_a_gauss_markov_term_is_written_once() -> None:
     assert data["gbstd"] == pytest.approx([4e-5 * 180 / math.pi * 3600] * 3)
 
 
-def test_a_short_term_of_one_sensor_does_not_shorten_the_others_walk() -> None:
-    """With T of a gyroscope's walk at that of the accelerometer's term, its bias was 19 times too small."""
+def test_a_short_term_of_one_sensor_does_not_shorten_the_walk_of_the_other() -> None:
+    """With T of the accelerometer's term, the gyroscope's bias would be 19 times too small."""
     report = _slow_report("N=1e-4 + K=1e-6", "N=1e-3 + GM(sigma=3e-4, T=10.0)")
     data = yaml.safe_load(render(report, "kf-gins", fitted()))["imunoise"]
     assert data["corrtime"] == 1
@@ -523,7 +520,7 @@ def test_a_short_term_of_one_sensor_does_not_shorten_the_others_walk() -> None:
 
 
 def _least_cover(report: Report, key: str, recovered: Recovered, horizon: float) -> float:
-    """Return the least of what a file's numbers say over the models' psds, over a filter's frequencies."""
+    """Return the minimum ratio of the file's spectrum to the models', over the frequencies of a filter."""
     white, walk, time = recovered[key, "N"], recovered[key, "K"], recovered.get((key, "T"))
     f = np.geomspace((0.01 if time is None else 0.5) / horizon, 0.5, 200)
     bias = TERMS["K"].of(walk) if time is None else GaussMarkov(sigma=walk * math.sqrt(time / 2), T=time)
@@ -534,10 +531,10 @@ def _least_cover(report: Report, key: str, recovered: Recovered, horizon: float)
 
 @pytest.mark.parametrize("make", [_plain_report, consumer_report])
 @pytest.mark.parametrize("target", [name for name in READERS if TARGETS[name].covers])
-def test_what_a_filter_reads_covers_the_fitted_spectrum(
+def test_exported_numbers_cover_the_fitted_spectrum(
     target: str, make: Callable[[], Report], tmp_path: Path
 ) -> None:
-    """White noise and walk, as the consumer's parser recovers them, are nowhere below any axis's model."""
+    """White noise and walk, as recovered by the target's parser, are nowhere below the model of any axis."""
     report = make()
     (path,) = export(report, target, tmp_path)
     recovered = READERS[target](path)
@@ -552,8 +549,8 @@ def test_what_a_filter_reads_covers_the_fitted_spectrum(
 
 
 @pytest.mark.parametrize(("policy", "count"), [("worst", 3), ("rms", 3), ("y", 1)])
-def test_the_pair_is_that_of_the_axes_asked_for(policy: AxisPolicy, count: int) -> None:
-    """Horizon, step and policy reach the rule; one axis is covered at a level, several in the mean."""
+def test_horizon_step_and_policy_determine_the_pair(policy: AxisPolicy, count: int) -> None:
+    """One axis must be covered at every frequency, several axes in the mean."""
     report = _plain_report()
     text = render(report, "kalibr", ExportOptions(axis_policy=policy, horizon_s=600.0, step_s=0.2))
     fits = [axis.fit for axis in report.axes[:3]] if count == 3 else [report.axes[1].fit]
@@ -566,7 +563,7 @@ def test_the_pair_is_that_of_the_axes_asked_for(policy: AxisPolicy, count: int) 
 
 
 def test_inflation_multiplies_a_pair() -> None:
-    """White noise and walk by their factors; flicker before it is covered, which raises both."""
+    """Each factor applies to its term. An inflated flicker is covered by larger white noise and walk."""
     plain = yaml.safe_load(render(_plain_report(), "kalibr"))
     text = render(_plain_report(), "kalibr", ExportOptions(inflate={"white": 2.0, "walk": 10.0}))
     raised = yaml.safe_load(render(_plain_report(), "kalibr", ExportOptions(inflate={"flicker": 10.0})))
@@ -575,8 +572,8 @@ def test_inflation_multiplies_a_pair() -> None:
         assert raised[key] > 1.1 * plain[key]
 
 
-def test_inflation_of_flicker_holds_where_a_table_only_bounds_it() -> None:
-    """The model's value counts then, and is inflated as its bound is: ten times the pair."""
+def test_inflation_of_flicker_applies_to_a_bounded_term() -> None:
+    """The model's value is used and inflated like its bound, so the pair is ten times larger."""
     axis = axis_report(GYRO, "x", "N=1e-9 + B=1e-5", bounds={"K": 1e-14})
     bounded = replace(axis.fit["B"], status="bounded", value=None, low=0.0)
     estimates = tuple(bounded if e.key == "B" else e for e in axis.fit.estimates)
@@ -590,8 +587,11 @@ def test_inflation_of_flicker_holds_where_a_table_only_bounds_it() -> None:
         assert raised[key] == pytest.approx(10 * plain[key], rel=0.01)
 
 
-def test_the_comment_lists_what_two_numbers_do_not_cover() -> None:
-    """Rounding adds a step to an angle, a tone swings it by 2A/omega; the fit's own numbers stand there."""
+def test_the_comment_lists_effects_that_two_numbers_do_not_cover() -> None:
+    """Rounding adds a step to an angle, and a tone moves it by 2A/omega.
+
+    The comment also contains N and K of the fit.
+    """
     text = render(consumer_report(), "px4")
     assert "accel_x: quantization adds up to sqrt(2) Q = 2.83e-06" in text
     assert f"the tone of 12.5 Hz is not covered; it adds {1.2e-5 / (math.pi * 12.5):.3g}" in text
@@ -599,8 +599,8 @@ def test_the_comment_lists_what_two_numbers_do_not_cover() -> None:
     assert "not detected, so the 95% upper bound is covered in part: K of accel_y, K of gyro_y" in text
 
 
-def test_kf_gins_and_okvis2_take_the_time_that_was_measured() -> None:
-    """A bias that forgets after 20 s is no walk: its T costs less than a long one, and is written."""
+def test_kf_gins_and_okvis2_get_the_measured_correlation_time() -> None:
+    """A bias with a correlation time of 20 s is no walk, so its T fits better than a long one."""
     models = ((GYRO, "N=1e-4 + GM(sigma=4e-5, T=20.0)"), (ACCEL, "N=1e-3 + GM(sigma=5e-4, T=20.0)"))
     bounds = {"B": 1e-8, "K": 1e-10}
     axes = [axis_report(sensor, axis, text, bounds=bounds) for sensor, text in models for axis in _AXES]
@@ -613,8 +613,8 @@ def test_kf_gins_and_okvis2_take_the_time_that_was_measured() -> None:
     assert "as fitted" in render(report, "okvis2", fitted())
 
 
-def test_a_walk_gets_a_time_long_against_horizon_and_record() -> None:
-    """So that it stays one: ten horizons, or the record."""
+def test_a_walk_gets_a_long_correlation_time() -> None:
+    """The time is the longer of ten horizons and the record, so that the term remains a walk."""
     report = _slow_report("N=1e-4 + K=1e-6", "N=1e-3 + K=1e-5")
     assert yaml.safe_load(render(report, "kf-gins"))["imunoise"]["corrtime"] == 3
     data = yaml.safe_load(render(report, "kf-gins", ExportOptions(horizon_s=3600.0)))["imunoise"]
@@ -622,7 +622,7 @@ def test_a_walk_gets_a_time_long_against_horizon_and_record() -> None:
 
 
 def test_px4_numbers_outside_its_range_are_reported() -> None:
-    """A good accelerometer at rest is below it; a ground station would warn without saying why."""
+    """A good accelerometer at rest is below the range; the ground station's warning gives no reason."""
     assert "EKF2_ACC_NOISE: 0.003 is outside the range that PX4 documents, 0.01 to 1" in render(
         replace(
             _plain_report(),
@@ -637,8 +637,8 @@ def test_px4_numbers_outside_its_range_are_reported() -> None:
     )
 
 
-def test_gazebo_and_the_walk_agree_step_by_step() -> None:
-    """Gazebo drives the bias by sigma_b sqrt(-T/2 expm1(-2 dt/T)) a step: K sqrt(dt) to dt/T."""
+def test_the_bias_of_gazebo_equals_the_walk_in_each_step() -> None:
+    """Gazebo's step is sigma_b sqrt(-T/2 expm1(-2 dt/T)), which equals K sqrt(dt) up to dt/T."""
     driving, time, dt = 3e-6, 3600.0, 1 / 200
     step = driving * math.sqrt(-time / 2 * math.expm1(-2 * dt / time))
     assert step == pytest.approx(driving * math.sqrt(dt), rel=dt / time)
@@ -647,24 +647,24 @@ def test_gazebo_and_the_walk_agree_step_by_step() -> None:
 
 @pytest.mark.parametrize("target", TARGETS)
 def test_a_report_read_from_its_file_gives_the_same_text(target: str) -> None:
-    """So that ``imucal export`` of a folder and of a log agree."""
+    """``imucal export`` of a folder and of its log must agree."""
     report = consumer_report()
     again = from_document(json.loads(dumps(to_document(report))))
     assert render(again, target) == render(report, target)
 
 
 @given(value=st.floats(1e-300, 1e300))
-def test_every_number_reads_back_to_eight_digits(value: float) -> None:
-    """By Python, by YAML 1.1, and without an exponent."""
+def test_numbers_are_read_back_with_eight_digits(value: float) -> None:
+    """Readers: Python and YAML 1.1, with and without an exponent."""
     read = float(real(value))
     assert read == yaml.safe_load(real(value)) == float(decimal(value)) == pytest.approx(value, rel=6e-8)
     assert len(real(value).partition("e")[0].replace(".", "").strip("0")) <= 8 or 0.9 < value < 1
 
 
-def test_a_bank_of_states_is_flicker() -> None:
-    """Inside the bank its psd is that of flicker: measured ripple 0.7 % at 1.5 states a decade.
+def test_a_bank_of_states_has_the_spectrum_of_flicker() -> None:
+    """Inside the bank the measured ripple is 0.7 % at 1.5 states per decade.
 
-    Two decades from either end the tails that are missing weigh less than 1 %.
+    Two decades from either end the missing tails are below 1 %.
     """
     bank = NoiseModel(terms=flicker_bank(1e-4, 1e-1, 1e7))
     flicker = NoiseModel(terms=(BiasInstability(value=1e-4),))
@@ -674,7 +674,7 @@ def test_a_bank_of_states_is_flicker() -> None:
 
 
 def test_the_state_space_has_the_fits_allan_curve() -> None:
-    """White noise, walk and bank have the model's Allan deviation to 8 % up to a tenth of the record."""
+    """The deviations agree to 8 % up to a tenth of the record."""
     report = _plain_report()
     axis = report.axes[0]
     states = yaml.safe_load(render(report, "gm"))["axes"]["gyro_x"]

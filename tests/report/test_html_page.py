@@ -1,4 +1,4 @@
-"""The page: sound HTML that reads well without scripts, and alive in a real browser."""
+"""The HTML page is valid, readable without scripts, and works in a real browser."""
 
 import base64
 import itertools
@@ -35,12 +35,12 @@ _CSS = Path(__file__).resolve().parents[2] / "imucal" / "report" / "templates" /
 
 @pytest.fixture(scope="module")
 def page() -> html.HtmlElement:
-    """Return the parsed page of a report with everything in it."""
+    """Return the parsed page of a report with all features."""
     return html.document_fromstring(consumer_page())
 
 
-def test_page_loads_nothing_from_elsewhere(page: html.HtmlElement) -> None:
-    """Every address stands within the page, and its policy forbids any other."""
+def test_the_page_loads_nothing_from_other_places(page: html.HtmlElement) -> None:
+    """Every link points into the page, and the content policy forbids others."""
     links = [link for _, _, link, _ in page.iterlinks()]
     assert all(link.startswith(("#", "data:")) for link in links)
     policy = page.xpath("//meta[@http-equiv='Content-Security-Policy']/@content")[0]
@@ -48,22 +48,22 @@ def test_page_loads_nothing_from_elsewhere(page: html.HtmlElement) -> None:
 
 
 def test_a_page_is_small_enough_to_mail() -> None:
-    """Half a megabyte is the plots' script; eight pictures and the data of six axes take one more."""
+    """The plot script has half a megabyte; eight pictures and the data of six axes add one more."""
     report = consumer_report()
     assert len(page_data(report)) < 200_000
     assert len(consumer_page()) < 1_600_000
 
 
-def test_the_script_of_the_plots_is_plotlys() -> None:
-    """As its makers publish it, with their licence beside it."""
+def test_the_plot_script_is_the_published_plotly() -> None:
+    """Its licence is included."""
     folder = files("imucal.report").joinpath("plotly")
     script = zlib.decompress(folder.joinpath("plotly-basic.min.js.zlib").read_bytes()).decode()
     assert script.startswith("/**\n* plotly.js (basic - minified) v4")
     assert "Plotly Technologies Inc." in folder.joinpath("LICENSE").read_text(encoding="utf-8")
 
 
-def test_structure_is_sane_for_screen_readers(page: html.HtmlElement) -> None:
-    """A language, one h1, headings in order, named sections, captions, scopes, labels, unique ids."""
+def test_the_structure_supports_screen_readers(page: html.HtmlElement) -> None:
+    """Required: language, one h1, ordered headings, named sections, captions, scopes, labels, unique ids."""
     assert page.get("lang") == "en"
     levels = [int(node.tag[1]) for node in page.xpath("//h1|//h2|//h3|//h4")]
     assert levels[0] == 1
@@ -84,8 +84,8 @@ def test_structure_is_sane_for_screen_readers(page: html.HtmlElement) -> None:
     assert not page.xpath("//div[contains(@class, 'plot')][not(@aria-labelledby)]")
 
 
-def test_tables_hold_both_conventions_and_the_bounds(page: html.HtmlElement) -> None:
-    """N of gyro x is 1.2e-4 rad/s/√Hz and 0.4125 deg/√h; a term that is not shown is a bound."""
+def test_tables_contain_both_units_and_the_bounds(page: html.HtmlElement) -> None:
+    """N of gyro x is 1.2e-4 rad/s/√Hz and 0.4125 deg/√h; an undetected term is a bound."""
     table = page.xpath("//table[@class='summary']")[0]
     row = table.xpath(".//tr[th/b='N']")[0]
     assert row.xpath("td[1]/span[@class='sheet']")[0].text_content() == "0.4125[0.4109, 0.4141]"
@@ -96,8 +96,8 @@ def test_tables_hold_both_conventions_and_the_bounds(page: html.HtmlElement) -> 
     assert bound == "< 5.1not detected; upper bound"
 
 
-def test_findings_are_in_words(page: html.HtmlElement) -> None:
-    """The sentence, the axis, the advice, and the part worth keeping; warnings before notes."""
+def test_findings_have_text_axis_and_advice(page: html.HtmlElement) -> None:
+    """They include the usable part of the log, and warnings come before infos."""
     section = page.get_element_by_id("findings")
     text = " ".join(section.text_content().split())
     assert "Warnings (2)" in text
@@ -107,7 +107,7 @@ def test_findings_are_in_words(page: html.HtmlElement) -> None:
 
 
 def test_findings_with_the_same_advice_are_grouped() -> None:
-    """Six axes with one trouble are one item; a sentence that starts with a name keeps it."""
+    """Six axes with the same problem are one item; a sentence that starts with an axis name keeps it."""
     report = consumer_report()
     finding = replace(report.axes[0].findings[0], code="odd", axis=None, advice="look at it")
     axes = [
@@ -123,13 +123,13 @@ def test_findings_with_the_same_advice_are_grouped() -> None:
     assert "No findings: no gap" in findings_section(calm)
 
 
-def test_page_explains_which_number_goes_where(page: html.HtmlElement) -> None:
-    """The formulas of the consumers, worked out at 200 Hz for the worst axis."""
+def test_the_page_contains_the_numbers_for_each_program(page: html.HtmlElement) -> None:
+    """The formulas are evaluated at 200 Hz for the worst axis."""
     rows = {
         row.xpath("th")[0].text_content(): [cell.text_content() for cell in row.xpath("td")]
         for row in page.get_element_by_id("downstream").xpath("(.//table)[2]/tbody/tr")
     }
-    # What covers all axes, the same that the JSON and a file for PX4 have.
+    # The numbers cover all axes and equal those in the JSON and in a file for PX4.
     pair = filter_numbers([axis.fit for axis in consumer_report().axes[:3]])
     white, walk = pair.white, pair.walk
     assert rows["N"][1] == f"{scientific(white)} rad/s/√Hz, x y z"
@@ -140,13 +140,13 @@ def test_page_explains_which_number_goes_where(page: html.HtmlElement) -> None:
     assert rows["K √f"][1].startswith(f"{scientific(walk * 200**0.5)} rad/s,")
     assert rows["N / √0.01 s"][1].startswith(f"{scientific(white / 0.1)} rad/s,")
     assert rows["N"][0].startswith("continuous")
-    # The slowest term of gyro z; no accelerometer axis has one.
+    # This is the slowest term of gyro z; no accelerometer axis has one.
     assert rows["σ, T"][1:3] == ["6.00 ×10⁻⁵ rad/s, 1500 s, z", "–"]
     assert rows["N² f"][0].startswith("discrete")
 
 
-def test_page_explains_it_for_every_program(page: html.HtmlElement) -> None:
-    """One row an export, with the formulas that stand in its file."""
+def test_the_page_has_a_row_for_every_export(page: html.HtmlElement) -> None:
+    """The row contains the formulas of the exported file."""
     rows = page.get_element_by_id("downstream").xpath("(.//details)[2]//tbody/tr")
     said = {row.xpath(".//code")[0].text_content(): row.text_content() for row in rows}
     assert list(said) == list(TARGETS)
@@ -156,7 +156,7 @@ def test_page_explains_it_for_every_program(page: html.HtmlElement) -> None:
 
 
 def test_the_tables_come_before_the_pictures(page: html.HtmlElement) -> None:
-    """Numbers are what a reader looks for first."""
+    """Readers look for the numbers first."""
     parts = page.get_element_by_id("summary").xpath(".//table | .//img")
     assert [part.tag for part in parts] == ["table", "table", "img", "img"]
 
@@ -166,19 +166,18 @@ def test_the_tables_come_before_the_pictures(page: html.HtmlElement) -> None:
     [(0.0332, "0.0332"), (1.4878e-5, "1.49 ×10⁻⁵"), (9.999e-4, "0.001"), (0.0, "0"), (12345.0, "1.23 ×10⁴")],
 )
 def test_numbers_of_the_page_have_three_digits(value: float, text: str) -> None:
-    """Never an exponent with an e."""
+    """None has an exponent with an e."""
     assert scientific(value) == text
 
 
-def test_worst_of_bounds_is_marked() -> None:
-    """Where the worst number is only a bound, it says so."""
+def test_a_worst_axis_with_only_a_bound_is_marked() -> None:
     page = html.document_fromstring(small_page())
     cells = page.get_element_by_id("downstream").xpath("(.//table)[2]/tbody/tr[th='B']/td/span/text()")
     assert cells[1].startswith("≤ ")
 
 
-def test_names_of_the_log_can_do_no_harm() -> None:
-    """A path is text: neither a tag nor the end of a script."""
+def test_names_of_the_log_are_escaped() -> None:
+    """A path must not become a tag or end a script."""
     report = small_report()
     evil = "</script><img src=x onerror=alert(1)>&$title.csv"
     report = replace(report, source=replace(report.source, path=evil))
@@ -187,13 +186,13 @@ def test_names_of_the_log_can_do_no_harm() -> None:
     assert page.xpath("//h1")[0].text_content() == evil.rsplit("/", 1)[-1]
 
 
-def test_page_is_the_same_for_the_same_report() -> None:
-    """No date and no random name."""
+def test_the_page_is_reproducible() -> None:
+    """It contains no date and no random name."""
     assert render_page(small_report()) == small_page()
 
 
-def test_data_is_json_without_the_end_of_a_script() -> None:
-    """And every gap is there, those too near to tell apart as one."""
+def test_the_data_of_the_page_is_json_and_can_not_end_the_script() -> None:
+    """All gaps are included; adjacent gaps too close to distinguish are merged."""
     axis = consumer_report().axes[0]
     gaps = tuple(Gap(start_s=s, missing=10, duration_s=0.05) for s in (100.0, 101.0, 9000.0))
     report = replace(consumer_report(), axes=(replace(axis, gaps=gaps),))
@@ -214,8 +213,8 @@ def test_data_is_json_without_the_end_of_a_script() -> None:
         (np.nan, 1.23456789),
     ],
 )
-def test_the_raw_signal_is_as_fine_as_its_noise(std: float, number: float) -> None:
-    """A hundredth of the standard deviation; nine places where it is not known or nought."""
+def test_the_raw_signal_is_rounded_to_a_hundredth_of_its_noise(std: float, number: float) -> None:
+    """If the standard deviation is unknown or zero, there are nine digits."""
     axis = consumer_report().axes[0]
     values = np.array([1.23456789012, np.nan])
     overview = Overview(time_s=np.array([0.5, 1234.5678]), low=values, high=values)
@@ -225,8 +224,8 @@ def test_the_raw_signal_is_as_fine_as_its_noise(std: float, number: float) -> No
 
 
 @pytest.mark.parametrize(("apart", "count"), [(19.9, 1), (20.1, 2)])
-def test_gaps_nearer_than_a_five_hundredth_are_one(apart: float, count: int) -> None:
-    """Of a recording of 10 000 s: 20 s from the end of one to the start of the next."""
+def test_gaps_closer_than_a_five_hundredth_are_merged(apart: float, count: int) -> None:
+    """In a recording of 10 000 s this is 20 s from the end of a gap to the start of the next."""
     axis = consumer_report().axes[0]
     gaps = tuple(Gap(start_s=s, missing=10, duration_s=5.0) for s in (100.0, 105.0 + apart))
     report = replace(consumer_report(), axes=(replace(axis, gaps=gaps, duration_s=10_000.0),))
@@ -234,14 +233,14 @@ def test_gaps_nearer_than_a_five_hundredth_are_one(apart: float, count: int) -> 
 
 
 @pytest.mark.parametrize(("height", "count"), [(7.9, 0), (8.1, 1)])
-def test_a_spike_is_found_from_eight_deviations_on(height: float, count: int) -> None:
-    """Robust ones: an eighth of std here, where the neighbours are all alike; 25 stretches are enough."""
+def test_a_spike_of_eight_deviations_is_found(height: float, count: int) -> None:
+    """The robust deviation is an eighth of std here, because all neighbours are equal."""
     values = np.zeros(25)
     values[3] = height / 8
     overview = Overview(time_s=np.arange(25.0), low=np.zeros(25), high=values)
     assert standing_out(overview, 1.0).size == count
     assert standing_out(Overview(time_s=np.arange(24.0), low=np.zeros(24), high=values[:24]), 1.0).size == 0
-    # -1, 0, 1 over and over: the median is 0, and that of the distances from it 1.
+    # For -1, 0, 1 repeated, the median is 0 and the median distance from it is 1.
     restless = np.arange(200.0) % 3 - 1
     restless[100] = 1.4826 * height
     overview = Overview(time_s=np.arange(200.0), low=-np.ones(200), high=restless)
@@ -256,8 +255,8 @@ def test_a_spike_is_found_from_eight_deviations_on(height: float, count: int) ->
         (8, "1 Hz, 2 Hz", "5 Hz, 6 Hz and 2 more"),
     ],
 )
-def test_six_lines_are_named_and_the_rest_is_counted(count: int, named: str, counted: str) -> None:
-    """In the table of the fits; the caption of the plot names six."""
+def test_six_spectral_lines_are_listed_and_the_others_counted(count: int, named: str, counted: str) -> None:
+    """The rule applies to the table of fits and to the caption of the plot."""
     axis = consumer_report().axes[0]
     lines = tuple(Line(frequency_hz=float(k + 1), amplitude=1e-5) for k in range(count))
     fit = replace(
@@ -288,7 +287,7 @@ def test_six_lines_are_named_and_the_rest_is_counted(count: int, named: str, cou
     ],
 )
 def test_the_misfit_score_is_explained(score: float, text: str) -> None:
-    """Above 3 something else is in the data."""
+    """A score above 3 means that the data contain something that the model lacks."""
     axis = consumer_report().axes[0]
     fit = replace(axis.fit, goodness=replace(axis.fit.goodness, statistic=score))
     page = _page(replace(axis, fit=fit))
@@ -296,22 +295,21 @@ def test_the_misfit_score_is_explained(score: float, text: str) -> None:
 
 
 @pytest.mark.parametrize(("count", "text"), [(0, "no gaps."), (1, "1 gap."), (2, "2 gaps.")])
-def test_the_caption_of_the_raw_signal_counts_the_gaps(count: int, text: str) -> None:
-    """As one says it."""
+def test_the_caption_of_the_raw_signal_contains_the_number_of_gaps(count: int, text: str) -> None:
     axis = consumer_report().axes[0]
     page = _page(replace(axis, gaps=axis.gaps * count))
     assert page.xpath("//figcaption")[3].text_content().endswith(text)
 
 
 def _page(axis: AxisReport) -> html.HtmlElement:
-    """Return the sections of one axis, without the megabytes of the script."""
+    """Return the sections of one axis, without the large script."""
     report = replace(consumer_report(), axes=(axis,))
     sections = (summary_section(report, {}), axis_section(report, axis, {}), method_section(report))
     return html.document_fromstring("".join(sections))
 
 
 def test_the_page_explains_the_effect_on_a_filter(page: html.HtmlElement) -> None:
-    """Main quantities at four times, with limits and the term that makes most; none where it is not noise."""
+    """Quantities at four times have limits and the dominant term; a drift that is not noise has no row."""
     section = page.get_element_by_id("drift")
     rows = {row.findtext("th"): row.xpath("string(td[3])") for row in section.xpath(".//tbody/tr")}
     assert rows == {
@@ -327,8 +325,8 @@ def test_the_page_explains_the_effect_on_a_filter(page: html.HtmlElement) -> Non
     assert not page.xpath("//*[@id='drift']")
 
 
-def test_spikes_are_found_and_drift_is_not() -> None:
-    """A stretch whose extreme is far from its neighbours' is marked; a slow drift is not."""
+def test_spikes_are_marked_and_drift_is_not() -> None:
+    """A stretch is marked if its extreme differs much from those of its neighbours."""
     rng = np.random.default_rng(5)
     time = np.arange(1000.0)
     drift = 5 * np.sin(time / 200)
@@ -345,8 +343,8 @@ def test_spikes_are_found_and_drift_is_not() -> None:
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
-def test_texts_have_contrast(theme: str) -> None:
-    """WCAG 2.2, AA: 4.5 for text on its ground, in both themes."""
+def test_texts_have_sufficient_contrast(theme: str) -> None:
+    """WCAG 2.2, AA, requires 4.5 between text and background, in both themes."""
     css = _CSS.read_text(encoding="utf-8")
     blocks = re.findall(r"\{([^{}]*--paper[^{}]*)\}", css)
     values = dict(re.findall(r"--([\w-]+):\s*(#\w{6})", blocks[0 if theme == "light" else 1]))
@@ -363,7 +361,7 @@ def test_texts_have_contrast(theme: str) -> None:
 
 
 def test_an_axis_without_spectrum_and_signal_has_a_page() -> None:
-    """A curve made by another tool has no samples behind it; four samples make two points."""
+    """A curve of another tool has no samples, and four samples give two points."""
     assert "Gyroscope x" in render_page(_bare())
     page = html.document_fromstring(render_page(shortest_report(4)))
     assert page.xpath("//table[@class='summary']//tr[th='misfit score']/td/text()") == ["unknown"]
@@ -389,7 +387,7 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Return the address of a page that lies in a folder, as users open it."""
+    """Return the address of a page in a folder, as users open it."""
     path = tmp_path_factory.mktemp("page") / "report.html"
     path.write_text(consumer_page(), encoding="utf-8")
     return path.as_uri()
@@ -401,7 +399,7 @@ def _load(browser: Browser, address: str) -> None:
 
 
 def _show(browser: Browser, plot: str) -> None:
-    # At every look: plots that are drawn above it meanwhile may push it out of sight again.
+    # Scroll at each attempt, because other plots that are drawn above can move this one out of view.
     browser.run(f"document.getElementById('{plot}').closest('details').open = true")
     browser.wait(
         f"document.getElementById('{plot}').scrollIntoView({{block: 'center'}});"
@@ -410,7 +408,7 @@ def _show(browser: Browser, plot: str) -> None:
 
 
 def test_every_plot_is_drawn_without_an_error_or_a_request(browser: Browser, address: str) -> None:
-    """18 plots; the console stays empty; the only thing asked for is the page itself."""
+    """There are 18 plots, the console is empty, and the only request is the page itself."""
     _load(browser, address)
     plots = browser.run("return [...document.querySelectorAll('.plot')].map((p) => p.id)")
     assert len(plots) == 18
@@ -428,7 +426,7 @@ def test_every_plot_is_drawn_without_an_error_or_a_request(browser: Browser, add
 
 
 def test_hover_shows_tau_deviation_interval_and_model(browser: Browser, address: str) -> None:
-    """With the mouse on a point, as a user would."""
+    """The mouse is on a point."""
     _load(browser, address)
     _show(browser, "gyro_x-allan")
     place = """
@@ -442,15 +440,15 @@ def test_hover_shows_tau_deviation_interval_and_model(browser: Browser, address:
         "return [...document.querySelectorAll('#gyro_x-allan .hoverlayer tspan')]"
         ".map((t) => t.textContent).join('|')"
     )
-    # Points: the used ones come first; the sixth of them is m = 64 at 200 Hz.
+    # The used points come first; the sixth of them is m = 64 at 200 Hz.
     assert "τ = 0.3200 s" in text
     assert "deg/h" in text
     assert re.search(r"95 %: [\d.]+ to [\d.]+", text)
     assert re.search(r"model: [\d.]+", text)
 
 
-def test_a_plot_takes_two_stops_of_the_tab_key(browser: Browser, address: str) -> None:
-    """The plot and its buttons; the arrow keys move among these."""
+def test_a_plot_has_two_tab_stops(browser: Browser, address: str) -> None:
+    """They are the plot and its buttons; arrow keys move between the buttons."""
     _load(browser, address)
     stops = """
         return [...document.querySelectorAll('#gyro_x-allan, #gyro_x-allan *')].filter((e) => e.tabIndex >= 0)
@@ -467,7 +465,7 @@ def test_a_plot_takes_two_stops_of_the_tab_key(browser: Browser, address: str) -
 
 
 def test_plots_have_the_labels_and_marks_of_the_pictures(browser: Browser, address: str) -> None:
-    """Each term's value with its uncertainty, the minimum with a ring; none covers another."""
+    """Each term has its value with uncertainty, the minimum has a ring, and no label covers another."""
     _load(browser, address)
     axis = consumer_report().axes[0]
     units = sheet_units([each.fit for each in consumer_report().axes[:3]])
@@ -490,8 +488,8 @@ def test_plots_have_the_labels_and_marks_of_the_pictures(browser: Browser, addre
     assert browser.run(f"return {rings}.length") == 1
 
 
-def test_arrow_keys_step_through_the_points(browser: Browser, address: str) -> None:
-    """And what is shown is announced to a screen reader."""
+def test_arrow_keys_move_through_the_points(browser: Browser, address: str) -> None:
+    """The shown values are announced to a screen reader."""
     _load(browser, address)
     for plot, expected in [("gyro_y-allan", "τ = 0.01000 s"), ("gyro_y-psd", "Hz"), ("gyro_y-raw", "deg/h")]:
         _show(browser, plot)
@@ -504,8 +502,8 @@ def test_arrow_keys_step_through_the_points(browser: Browser, address: str) -> N
         browser.run("document.getElementById('announcement').textContent = ''")
 
 
-def test_units_are_switched_in_tables_and_plots(browser: Browser, address: str) -> None:
-    """Data-sheet units first; SI on request."""
+def test_the_unit_switch_changes_tables_and_plots(browser: Browser, address: str) -> None:
+    """Data-sheet units are the default; the switch shows SI."""
     _load(browser, address)
     _show(browser, "gyro_x-allan")
     cell = "return document.querySelector('.summary tbody td').innerText"
@@ -517,8 +515,8 @@ def test_units_are_switched_in_tables_and_plots(browser: Browser, address: str) 
     assert "rad/s" in browser.wait(title)
 
 
-def test_dark_and_light_follow_the_system_and_the_switch(browser: Browser, address: str) -> None:
-    """The paper and the plots change together."""
+def test_the_theme_follows_the_system_and_the_switch(browser: Browser, address: str) -> None:
+    """Page and plots change together."""
     _load(browser, address)
     _show(browser, "gyro_x-allan")
     paper = "return getComputedStyle(document.body).backgroundColor"
@@ -535,8 +533,8 @@ def test_dark_and_light_follow_the_system_and_the_switch(browser: Browser, addre
     browser.devtools("Emulation.setEmulatedMedia", features=[])
 
 
-def test_narrow_screens_scroll_only_downwards(browser: Browser, address: str) -> None:
-    """On a telephone no column is out of sight: rows become cards, each figure under its title."""
+def test_narrow_screens_need_no_horizontal_scrolling(browser: Browser, address: str) -> None:
+    """On a phone, rows become cards, with each number below its title."""
     _load(browser, address)
     browser.devtools(
         "Emulation.setDeviceMetricsOverride", width=390, height=800, deviceScaleFactor=1, mobile=False
@@ -553,7 +551,7 @@ def test_narrow_screens_scroll_only_downwards(browser: Browser, address: str) ->
 
 
 def test_pictures_replace_charts_without_scripts(browser: Browser, address: str) -> None:
-    """Both overviews, and one in each axis's fold; no empty plot, no switch that does nothing."""
+    """Both overviews and a picture per axis are shown, but no empty plot and no useless switch."""
     browser.devtools("Emulation.setScriptExecutionDisabled", value=True)
     try:
         browser.open(address)
@@ -570,8 +568,8 @@ def test_pictures_replace_charts_without_scripts(browser: Browser, address: str)
         assert image.get("alt") == f"Allan deviation and power spectral density of {where}"
 
 
-def test_paper_has_every_picture_on_eight_sheets(browser: Browser, address: str) -> None:
-    """Light, though the screen is dark; what is folded is opened for it and folded again."""
+def test_the_printed_page_has_every_picture_on_eight_sheets(browser: Browser, address: str) -> None:
+    """Print is light even if the screen is dark; folded sections are opened and closed again."""
     _load(browser, address)
     browser.run("document.querySelector('input[value=dark]').click()")
     answer = browser.devtools("Page.printToPDF", preferCSSPageSize=True)
@@ -594,10 +592,10 @@ def test_paper_has_every_picture_on_eight_sheets(browser: Browser, address: str)
 
 
 @pytest.mark.parametrize(("width", "first", "height"), [(1400, 900, 6000), (390, 900, 9000)])
-def test_the_table_is_in_sight_and_the_page_is_short(
+def test_the_table_is_visible_and_the_page_is_short(
     browser: Browser, address: str, width: int, first: int, height: int
 ) -> None:
-    """Verdict, tables, pictures; axes are folded. On a desk and on a telephone."""
+    """Order: verdict, tables, pictures; axes are folded. Sizes: desktop and phone."""
     browser.devtools(
         "Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False
     )
@@ -607,16 +605,16 @@ def test_the_table_is_in_sight_and_the_page_is_short(
     browser.devtools("Emulation.clearDeviceMetricsOverride")
 
 
-def test_a_link_opens_its_fold(browser: Browser, address: str) -> None:
-    """From the navigation, and from another page."""
+def test_a_link_opens_its_folded_section(browser: Browser, address: str) -> None:
+    """The link is in the navigation, or in another page."""
     _load(browser, address)
     browser.run("document.querySelector('nav a[href=\"#accel_y\"]').click()")
     assert browser.wait("return document.querySelector('#accel_y > .folded').open")
     assert browser.wait("return document.querySelector('#accel_y-allan .main-svg') !== null")
 
 
-def test_nothing_that_takes_the_focus_is_without_a_name(browser: Browser, address: str) -> None:
-    """In Chromium's accessibility tree, as a screen reader gets it."""
+def test_every_focusable_element_has_a_name(browser: Browser, address: str) -> None:
+    """Screen readers use Chromium's accessibility tree."""
     _load(browser, address)
     tree = browser.devtools("Accessibility.getFullAXTree")["nodes"]
     focusable = [n for n in tree if any(p["name"] == "focusable" for p in n.get("properties", []))]
@@ -629,8 +627,8 @@ def test_nothing_that_takes_the_focus_is_without_a_name(browser: Browser, addres
     assert set(nameless) <= {"RootWebArea"}
 
 
-def test_a_page_without_samples_shows_what_it_has(browser: Browser, tmp_path: Path) -> None:
-    """A curve made by another tool, and four samples: no spectrum, no signal, no error in the console."""
+def test_a_page_without_samples_has_no_errors(browser: Browser, tmp_path: Path) -> None:
+    """Cases: a curve of another tool, and four samples, which have no spectrum and no signal."""
     path = tmp_path / "report.html"
     for report in (_bare(), shortest_report(4)):
         path.write_text(render_page(report), encoding="utf-8")

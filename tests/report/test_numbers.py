@@ -1,4 +1,4 @@
-"""Values are rounded as their interval allows, and a bound never falls below itself."""
+"""Values are rounded according to their interval, and a printed bound is never too small."""
 
 import math
 from dataclasses import replace
@@ -23,7 +23,7 @@ def _quantity(value: float | None, low: float, high: float, unit: str = "deg/h")
 @pytest.mark.parametrize(
     ("high", "places"), [(0.0994, 3), (0.0996, 2), (0.996, 1), (9.94, 1), (9.96, 0), (99.6, -1), (0.01, 3)]
 )
-def test_rounding_into_the_next_decade_takes_a_digit_less(high: float, places: int) -> None:
+def test_rounding_up_to_the_next_decade_removes_a_digit(high: float, places: int) -> None:
     """Two digits of 0.0996 are 0.10, those of 9.96 are 10."""
     assert decimals(_quantity(None, 0.0, high)) == places
 
@@ -44,8 +44,8 @@ def test_rounding_into_the_next_decade_takes_a_digit_less(high: float, places: i
         (-2.0e-7, 1e-8, "-2.0e-7 ± 1.0e-8 deg/h"),
     ],
 )
-def test_uncertainty_decides_the_digits(value: float, half: float, text: str) -> None:
-    """Two digits of an uncertainty below 355, else one; at least two digits of the value."""
+def test_the_uncertainty_determines_the_digits(value: float, half: float, text: str) -> None:
+    """An uncertainty has two digits up to 355 and otherwise one; the value has at least two."""
     assert with_uncertainty(_quantity(value, value - half, value + half)) == text
 
 
@@ -65,17 +65,17 @@ def test_uncertainty_decides_the_digits(value: float, half: float, text: str) ->
     ],
 )
 def test_asymmetric_bounded_and_unknown_values_are_printed_differently(quantity: Quantity, text: str) -> None:
-    """Where ± would mislead, the limits stand; a bound is rounded up, never down."""
+    """Intervals replace a misleading ±, and bounds are rounded up."""
     assert with_uncertainty(quantity) == text
 
 
 @given(high=st.floats(1e-12, 1e12))
 def test_a_printed_bound_is_never_below_the_bound(high: float) -> None:
-    """And no more than 10 % above it."""
+    """It is at most 10 % above the bound."""
     text, interval = compact(_quantity(None, 0.0, high))
     printed = float(text.removeprefix("< "))
     assert interval == ""
-    # 1e-11 for what the decimal fraction itself is off.
+    # The factor allows for the error of the decimal fraction.
     assert high * (1 - 1e-11) <= printed <= high * 1.1
 
 
@@ -87,7 +87,7 @@ def test_a_printed_bound_is_never_below_the_bound(high: float) -> None:
 def test_rounding_keeps_the_digits_that_the_interval_supports(
     value: float, below: float, above: float
 ) -> None:
-    """What is printed tells the value apart as well as its interval does."""
+    """The rounding error is small compared with the width of the interval."""
     quantity = _quantity(value, value * (1 - below), value * (1 + above))
     exponent = numbers.power_of_ten(quantity)
     text, interval = compact(quantity, exponent=exponent)
@@ -98,7 +98,7 @@ def test_rounding_keeps_the_digits_that_the_interval_supports(
 
 
 def test_a_drawn_bounded_term_is_reported() -> None:
-    """In its row's unit and places, in tables as in pictures; a value says nothing of it."""
+    """The drawn value has the unit and digits of its row, in tables and pictures."""
     bound = replace(_quantity(None, 0, 4.7e-6), drawn=2.5e-6)
     assert compact(bound, exponent=-6) == ("< 4.7", "(drawn 2.5)")
     assert with_uncertainty(bound.scaled(1e6, "deg/h")) == "< 4.7 (drawn 2.5) deg/h"
@@ -108,16 +108,16 @@ def test_a_drawn_bounded_term_is_reported() -> None:
     assert numbers.si(shown, Sensor.GYROSCOPE).drawn is None
 
 
-def test_a_walk_reports_its_horizon() -> None:
-    """Where a Gauss-Markov term may stand in its place, up to the least T of that."""
+def test_a_walk_that_may_be_a_gauss_markov_term_has_a_minimum_t() -> None:
+    """The text contains the smallest T of a Gauss-Markov term that could replace the walk."""
     k = Estimate(key="K", symbol="K", status="bounded", value=None, low=0.0, high=1.0)
     assert numbers.alternatives(k) == ""
     assert numbers.alternatives(replace(k, alternatives=("B", "GM"))) == "or B or GM"
     assert numbers.alternatives(replace(k, alternatives=("GM",), horizon_s=312.3)) == "or GM, T > 312 s"
 
 
-def test_powers_of_ten_of_a_row_are_shared() -> None:
-    """A row of a table has one exponent, a multiple of three, of its largest number."""
+def test_numbers_of_a_row_share_an_exponent() -> None:
+    """It is a multiple of three and fits the largest number."""
     limits = ((1.1e-6, 1e-6, 1.2e-6), (None, 0.0, 4e-7), (3e-9, 2e-9, 4e-9))
     row = [_quantity(value, low, high, "rad/s") for value, low, high in limits]
     assert numbers.engineering_exponent(row) == -6
@@ -129,7 +129,7 @@ def test_powers_of_ten_of_a_row_are_shared() -> None:
 
 
 def test_numbers_far_from_their_row_have_an_exponent() -> None:
-    """An interval over fifteen decades, or a bound far above the values, prints no row of zeros."""
+    """Zeros are avoided for an interval over fifteen decades, or a bound far above the values."""
     assert compact(_quantity(120, 0.6, 2.9134e15)) == ("120", "[0, 2.9134e15]")
     assert compact(_quantity(5.3e-13, 1e-14, 5.1e-10)) == ("5.3e-13", "[1.0e-14, 5.1e-10]")
     assert compact(_quantity(None, 0, 1.5123e16)) == ("< 1.6e16", "")
@@ -139,7 +139,7 @@ def test_numbers_far_from_their_row_have_an_exponent() -> None:
 
 
 def test_data_sheet_units_are_those_of_the_field() -> None:
-    """1e-4 rad/s/√Hz is 0.34377 deg/√h; 9.80665e-3 m/s² is 1 mg; less than 0.1 mg is said in µg."""
+    """1e-4 rad/s/√Hz is 0.34377 deg/√h, 9.80665e-3 m/s² is 1 mg, and less than 0.1 mg is given in µg."""
     noise = Estimate(key="N", symbol="N", status="estimated", value=1e-4, low=9e-5, high=1.1e-4)
     assert numbers.datasheet(noise, Sensor.GYROSCOPE).value == pytest.approx(0.343775, rel=1e-5)
     assert numbers.si(noise, Sensor.GYROSCOPE).unit == "rad/s/sqrt(Hz)"
@@ -150,8 +150,8 @@ def test_data_sheet_units_are_those_of_the_field() -> None:
 
 
 @pytest.mark.parametrize("times", [1.0, 20.0])
-def test_a_sensor_has_one_unit_for_its_levels(times: float) -> None:
-    """Micro-g whatever the size: B, sigma and minimum, of each axis and in every log."""
+def test_all_levels_of_a_sensor_have_the_same_unit(times: float) -> None:
+    """The unit of B, sigma and minimum is micro-g for any size, axis and log."""
     unit = "ug"
     report = consumer_report()
     accel = [axis for axis in report.axes if axis.sensor is Sensor.ACCELEROMETER]
@@ -169,8 +169,8 @@ def test_a_sensor_has_one_unit_for_its_levels(times: float) -> None:
     assert sheet_units([axis.fit for axis in report.axes[:3]]).level.name == "deg/h"
 
 
-def test_minimum_carries_the_interval_of_its_point() -> None:
-    """It lies inside, and both units say the same."""
+def test_the_minimum_has_the_interval_of_its_point() -> None:
+    """The minimum is inside, and both units agree."""
     for axis in consumer_report().axes:
         plain, sheet = numbers.minimum(axis.fit), sheet_units([axis.fit]).minimum(axis.fit)
         assert plain.value is not None
@@ -196,7 +196,7 @@ def test_minimum_carries_the_interval_of_its_point() -> None:
     ],
 )
 def test_durations_have_readable_units(seconds: float, text: str) -> None:
-    """Two units at most, the smaller one left out where it is nought."""
+    """They have at most two units; a smaller unit of zero is omitted."""
     assert duration(seconds) == text
 
 
@@ -212,13 +212,13 @@ def test_durations_have_readable_units(seconds: float, text: str) -> None:
     ],
 )
 def test_sizes_have_no_exponent(size: int, text: str) -> None:
-    """Nor so many digits that they must be counted."""
+    """The number of digits is limited too."""
     assert data_size(size) == text
 
 
 @pytest.mark.parametrize(("value", "text"), [(2621.44, "2620 s"), (0.005, "0.005 s"), (41.3, "41.3 s")])
 def test_times_have_three_digits_and_no_exponent(value: float, text: str) -> None:
-    """2.62e+03 s is not how people say it."""
+    """The form 2.62e+03 s is unusual in text."""
     assert numbers.seconds(value) == text
 
 
@@ -238,8 +238,8 @@ def test_times_have_three_digits_and_no_exponent(value: float, text: str) -> Non
         (math.inf, 0, 0),
     ],
 )
-def test_powers_of_ten_begin_where_people_stop_reading(size: float, power: int, shared: int) -> None:
-    """Below 0.01 and from 100 000 on; a shared one changes at half a decade, as 0.54e-3 and 120e-6 do."""
+def test_powers_of_ten_are_used_below_0_01_and_from_100_000_on(size: float, power: int, shared: int) -> None:
+    """The shared exponent changes at half a decade, as between 0.54e-3 and 120e-6."""
     for unit, used in (("rad/s", 1), ("deg/h", 0)):
         assert numbers.power_of_ten(_quantity(-size, -size, -size, unit)) == power * used
         row = [_quantity(None, 0, size, unit), _quantity(None, 0, size / 3, unit)]
@@ -253,16 +253,17 @@ def test_powers_of_ten_begin_where_people_stop_reading(size: float, power: int, 
         (_quantity(None, 0.0, math.inf), 0),
         (_quantity(3.2, -math.inf, math.inf), 1),
         (_quantity(2.0, 2.0, 2.0), 3),
-        # Half of the interval is less than 1e-4 of the value: five digits; a little more: what it tells.
+        # If half the interval is below 1e-4 of the value there are five digits; otherwise the interval
+        # decides.
         (_quantity(2.0, 2.0 - 1.9e-4, 2.0 + 1.9e-4), 4),
         (_quantity(2.0, 2.0 - 2.1e-4, 2.0 + 2.1e-4), 5),
         (_quantity(2.0, 2.0 - 3.6e-4, 2.0 + 3.6e-4), 4),
-        # At least two digits of the value, however wide its interval.
+        # The value has at least two digits, even with a wide interval.
         (_quantity(0.031, -4.0, 4.0), 3),
     ],
 )
-def test_places_are_those_of_the_interval(quantity: Quantity, places: int) -> None:
-    """And where there is none, or one of no width, those of the value."""
+def test_the_interval_determines_the_decimal_places(quantity: Quantity, places: int) -> None:
+    """Without an interval, or with one of zero width, the value determines them."""
     assert decimals(quantity) == places
 
 
@@ -272,13 +273,14 @@ def test_places_are_those_of_the_interval(quantity: Quantity, places: int) -> No
         (_quantity(1_234_567_890.0, 1_234_567_890.0, 1_234_567_890.0), ("1235000000", "")),
         (_quantity(12_345_678_901.0, 12_345_678_901.0, 12_345_678_901.0), ("1.235e10", "")),
         (_quantity(None, 0.0, 0.0), ("0", "")),
-        # A limit that rounds to nothing has no sign.
+        # A limit that rounds to zero has no sign.
         (_quantity(0.5, -0.001, 1.001), ("0.50", "[0.00, 1.00]")),
         (_quantity(-0.5, -1.5, 0.5), ("-0.50", "[-1.50, 0.50]")),
     ],
 )
-def test_ten_characters_are_not_too_many(quantity: Quantity, texts: tuple[str, str]) -> None:
-    """Eleven are written with an exponent."""
+def test_numbers_longer_than_ten_characters_have_an_exponent(
+    quantity: Quantity, texts: tuple[str, str]
+) -> None:
     assert compact(quantity) == texts
 
 
@@ -292,13 +294,13 @@ def test_ten_characters_are_not_too_many(quantity: Quantity, texts: tuple[str, s
         (10.0, 12.0, "10.0 [10.0, 12.0] deg/h"),
     ],
 )
-def test_sides_that_differ_by_a_quarter_are_both_printed(low: float, high: float, text: str) -> None:
-    """4 below and 5 above is lopsided, 4 and 4.9 is not."""
+def test_asymmetric_limits_are_both_printed(low: float, high: float, text: str) -> None:
+    """Sides of 4 and 5 differ by a quarter and are asymmetric, 4 and 4.9 are not."""
     assert with_uncertainty(_quantity(10.0, low, high)) == text
 
 
-def test_a_minimum_of_which_nothing_is_known_has_no_interval() -> None:
-    """So few degrees of freedom that the upper limit is infinite, or none known."""
+def test_a_minimum_with_unknown_degrees_of_freedom_has_no_interval() -> None:
+    """With very few degrees of freedom the upper limit is infinite."""
     axis = consumer_report().axes[0]
     for edf in (1e-3, math.nan):
         curve = replace(axis.fit.curve, edf=np.full(axis.fit.curve.tau.size, edf))
