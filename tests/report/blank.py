@@ -1,4 +1,4 @@
-"""Pictures that nobody looks at: to draw those of a small log takes four times as long as to fit it."""
+"""Blank pictures for tests that ignore pictures: drawing a small log is four times slower than its fit."""
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
@@ -22,7 +22,7 @@ _BLANK = {
 
 @contextlib.contextmanager
 def blank_pictures() -> Iterator[None]:
-    """Have the pictures of reports and of fleets written and shown on pages, but not drawn."""
+    """Write and show pictures of reports and fleets without drawing them."""
 
     def undrawn(*_: object) -> None:
         return None

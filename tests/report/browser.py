@@ -1,4 +1,4 @@
-"""A headless Chromium driven through chromedriver's HTTP protocol (W3C WebDriver), stdlib only."""
+"""A headless Chromium controlled through chromedriver's HTTP protocol (W3C WebDriver), stdlib only."""
 
 import json
 import re
@@ -16,7 +16,7 @@ import pytest
 
 __all__ = ["Browser", "require_chromium"]
 
-#: Nothing that the browser does by itself may be taken for a request of the page.
+#: The browser's own requests must not be mistaken for requests of the page.
 _ARGUMENTS = (
     "--headless",
     "--no-sandbox",
@@ -42,7 +42,7 @@ def require_chromium() -> tuple[str, str]:
 
 
 class Browser:
-    """One session; use it as a context manager."""
+    """One session, used as a context manager."""
 
     def __init__(self) -> None:
         self._chromium, self._driver = require_chromium()
@@ -70,17 +70,17 @@ class Browser:
         self._stack.close()
 
     def open(self, url: str) -> None:
-        """Load a page, and forget what was logged before."""
+        """Load a page and discard earlier log entries."""
         self.logs("performance")
         self.logs("browser")
         self._call("POST", "/url", {"url": url})
 
     def run(self, script: str, *arguments: object) -> Any:  # noqa: ANN401 - a JSON value
-        """Return what a script returns."""
+        """Return the result of a script."""
         return self._call("POST", "/execute/sync", {"script": script, "args": list(arguments)})
 
     def wait(self, script: str) -> Any:  # noqa: ANN401 - a JSON value
-        """Run a script until it returns something true; return that."""
+        """Run a script until its result is true, and return the result."""
         return _until(lambda: self.run(script), script)
 
     def devtools(self, command: str, **parameters: object) -> Any:  # noqa: ANN401 - a JSON value
@@ -88,7 +88,7 @@ class Browser:
         return self._call("POST", "/goog/cdp/execute", {"cmd": command, "params": parameters})
 
     def point_at(self, x: float, y: float) -> None:
-        """Move the mouse to a place of the viewport, in CSS pixels."""
+        """Move the mouse to a position in the viewport, in CSS pixels."""
         moves = [{"type": "pointerMove", "duration": 50, "x": round(x) + d, "y": round(y)} for d in (3, 0)]
         pointer = {
             "type": "pointer",
@@ -105,15 +105,15 @@ class Browser:
         self._call("POST", "/actions", {"actions": [{"type": "key", "id": "keys", "actions": actions}]})
 
     def logs(self, kind: str) -> list[dict[str, Any]]:
-        """Return the entries of a log since it was last asked for."""
+        """Return the entries of a log since the last call."""
         entries: list[dict[str, Any]] = self._call("POST", "/se/log", {"type": kind})
         return entries
 
     def requests(self) -> list[str]:
-        """Return the addresses asked for since the page was opened, by the page."""
+        """Return the addresses that the page requested since it was opened."""
         events = [json.loads(entry["message"])["message"] for entry in self.logs("performance")]
         sent = [e["params"] for e in events if e["method"] == "Network.requestWillBeSent"]
-        # Chromium's own first tab still loads its parts meanwhile.
+        # Chromium's first tab is still loading its own parts.
         return [
             s["request"]["url"]
             for s in sent

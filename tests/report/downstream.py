@@ -1,6 +1,6 @@
-"""The consumers' side: each downstream file read by a real parser of its format, turned back into N and K.
+"""Parsers of the target programs' formats: each converts an exported file back into N and K.
 
-A reader gives what is in the file: of a log of one sensor, the numbers of that one.
+For a log of one sensor, the result contains only that sensor's numbers.
 """
 
 import ast
@@ -20,13 +20,13 @@ from imucal.units import G0
 
 __all__ = ["READERS", "Recovered", "opencv", "qgroundcontrol"]
 
-#: Axis or sensor name and symbol -> coefficient in SI.
+#: (axis or sensor name, symbol) -> coefficient in SI.
 Recovered = dict[tuple[str, str], float]
 
 _RATE_HZ = 200.0
 _DEGREE = math.pi / 180
 _SHORT = {"gyroscope": "gyro", "accelerometer": "accel"}
-#: What most formats have, in the order of a reader's list of keys.
+#: Numbers of most formats, in the order of a parser's list of keys.
 _FOUR = (("accel", "N"), ("accel", "K"), ("gyro", "N"), ("gyro", "K"))
 _KALIBR = (
     "accelerometer_noise_density accelerometer_random_walk gyroscope_noise_density gyroscope_random_walk"
@@ -48,7 +48,7 @@ def _json(path: Path) -> Any:  # noqa: ANN401 - whatever the file holds
 
 
 def opencv(path: Path) -> Any:  # noqa: ANN401 - cv2 is optional
-    """Open a file as OpenCV does; skip the test where OpenCV isn't there."""
+    """Open a file with OpenCV; skip the test if OpenCV is not installed."""
     import pytest
 
     cv2 = pytest.importorskip("cv2", reason="opencv-python-headless is not installed")
@@ -71,14 +71,14 @@ def _opencv_real(node: Any) -> float:  # noqa: ANN401 - cv2.FileNode
 
 
 def _opencv_reals(path: Path, *section: str) -> dict[str, float]:
-    """Return the reals of a section; what OpenCV takes for an integer is none of them."""
-    storage = opencv(path)  # its nodes live as long as it does
+    """Return the reals of a section, without numbers that OpenCV reads as integers."""
+    storage = opencv(path)  # the nodes need this object
     found = _opencv_map(storage, *section).items()
     return {name: float(node.real()) for name, node in found if node.isReal()}
 
 
 def _four(data: Mapping[str, Any], keys: str, white: float = 1.0, walk: float = 1.0) -> Recovered:
-    """Return the numbers of the four keys that are there, divided by the factor of their symbol."""
+    """Return the numbers of the existing keys, divided by the factor of their symbol."""
     factor = {"N": white, "K": walk}
     present = [
         (name, term) for name, term in zip(keys.split(), _FOUR, strict=True) if data.get(name) is not None
@@ -137,7 +137,7 @@ def _okvis2(path: Path) -> Recovered:
 
 
 def _kimera(path: Path) -> Recovered:
-    """Read as Kimera-VIO does, which refuses another pose than the identity."""
+    """Read like Kimera-VIO, which refuses any pose other than the identity."""
     storage = opencv(path)
     found = _opencv_map(storage)
     assert found["imu_preintegration_type"].isInt()
@@ -162,7 +162,7 @@ def _svo_pro(path: Path) -> Recovered:
 
 
 def _info(text: str) -> dict[str, Any]:
-    """Read Boost's INFO format: a key and a value a line, braces for what is inside, comments from ``;``."""
+    """Parse Boost's INFO format: a key and a value per line, braces for sections, comments from ``;``."""
     root: dict[str, Any] = {}
     stack, last = [root], ""
     for line in text.splitlines():
@@ -201,7 +201,7 @@ def _basalt(path: Path) -> Recovered:
 
 
 def _gtsam(path: Path) -> Recovered:
-    """Run the module against doubles of GTSAM that record the setters: one as 4.2 has them, one as 4.3."""
+    """Run the module with fakes of GTSAM that record the setters of versions 4.2 and 4.3."""
     source = path.read_text(encoding="utf-8")
     ast.parse(source)
     called = _gtsam_setters(source, old=True)
@@ -261,7 +261,7 @@ def _point_lio(path: Path) -> Recovered:
 
 
 def _glim(path: Path) -> Recovered:
-    """One number serves the walk of both sensors: it stands for the larger."""
+    """Use one number for the walk of both sensors, the larger one."""
     data = _json(path)["sensors"]
     names = {"imu_acc_noise": "accel", "imu_gyro_noise": "gyro"}
     recovered = {(short, "N"): data[name] for name, short in names.items() if name in data}
@@ -270,7 +270,7 @@ def _glim(path: Path) -> Recovered:
 
 
 def _dlio(path: Path) -> Recovered:
-    """Read the comment: there is no key for noise, but how well the average of 3 s is known is said."""
+    """Read the comment: there is no key for noise, only the error of the average of 3 s."""
     if not _yaml(path)["dlio"]:
         return {}
     bias = _yaml(path)["dlio"]["imu"]["intrinsics"]["gyro"]["bias"]
@@ -284,7 +284,7 @@ def _dlio(path: Path) -> Recovered:
 
 
 def _ros(path: Path) -> Recovered:
-    """Each covariance is of samples at the rate that stands beside it."""
+    """Use the rate next to each covariance, which is that of the samples."""
     data, recovered = _yaml(path), {}
     for key, sensor in (("angular_velocity", "gyro"), ("linear_acceleration", "accel")):
         if f"{key}_covariance" not in data:
@@ -299,7 +299,7 @@ def _ros(path: Path) -> Recovered:
 
 
 def qgroundcontrol(text: str) -> dict[str, float]:
-    """Read as QGroundControl does: five tab-separated fields, 9 is a float; other lines are passed over."""
+    """Parse like QGroundControl: five tab-separated fields, 9 is a float; other lines are skipped."""
     values = {}
     for line in text.splitlines():
         fields = line.split("\t")
@@ -313,7 +313,7 @@ def qgroundcontrol(text: str) -> dict[str, float]:
 
 
 def _name_value(text: str) -> dict[str, float]:
-    """Read as pymavlink and MAVProxy do: a name and a value; other lines are passed over."""
+    """Parse like pymavlink and MAVProxy: a name and a value; other lines are skipped."""
     rows = (line.partition("#")[0].split() for line in text.splitlines())
     return {row[0]: float(row[1]) for row in rows if len(row) == 2}
 
@@ -349,7 +349,7 @@ def _gazebo(path: Path) -> Recovered:
 
 
 def _airsim(path: Path) -> Recovered:
-    """Do as AirSim does: deg/sqrt(h) and mg become SI; the bias walks with stability/sqrt(tau)."""
+    """Convert like AirSim: deg/sqrt(h) and mg become SI; the bias walks with stability/sqrt(tau)."""
     data: dict[str, float] = _json(path)["DefaultSensors"]["Imu"]
     recovered: Recovered = {}
     assert (data["SensorType"], data["Enabled"]) == (2, True)
@@ -373,7 +373,7 @@ def _carla(path: Path) -> Recovered:
 
 
 def _isaac_sim(path: Path) -> Recovered:
-    """Run the module: a dictionary as Pegasus' IMU takes it."""
+    """Run the module, whose dictionary is the input of Pegasus' IMU."""
     space: dict[str, Any] = {}
     exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), space)  # noqa: S102 - the file under test
     config, recovered = space["imu_config"], {}
@@ -400,7 +400,7 @@ def _euroc(path: Path) -> Recovered:
 
 
 def _kf_gins(path: Path) -> Recovered:
-    """Undo the data-sheet units; K from the steady state of a walk, sigma = K sqrt(T/2)."""
+    """Undo the data-sheet units; K follows from the steady state of a walk, sigma = K sqrt(T/2)."""
     data, recovered = _yaml(path)["imunoise"], {}
     walk = math.sqrt(data["corrtime"] * 3600 / 2)
     units = {
@@ -416,7 +416,7 @@ def _kf_gins(path: Path) -> Recovered:
 
 
 def _matlab_pairs(path: Path, function: str) -> dict[str, list[float]]:
-    """Return the name-value pairs of a call, comments and continuations removed."""
+    """Return the name-value pairs of a call, without comments and continuations."""
     text = re.sub(r"%.*", "", path.read_text(encoding="utf-8")).replace("...\n", " ")
     call = re.search(rf"\w+ = {function}\((.*?)\);", text)
     if call is None:
@@ -457,7 +457,7 @@ def _state_space(path: Path) -> Recovered:
 
 
 def _generic(path: Path) -> Recovered:
-    """Values and bounds, and the discrete numbers at the sensor's own rate."""
+    """Read values, bounds, and the discrete numbers at the sensor's own rate."""
     recovered = {}
     for sensor, block in _yaml(path)["imu"].items():
         rate = block["rate_hz"]
@@ -472,7 +472,7 @@ def _generic(path: Path) -> Recovered:
     return recovered
 
 
-#: Name of a format -> its reader.
+#: Name of a format -> its parser.
 READERS: dict[str, Callable[[Path], Recovered]] = {
     "kalibr": _kalibr,
     "openvins": _openvins,

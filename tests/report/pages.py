@@ -1,4 +1,4 @@
-"""Pages that several tests look at, each drawn once a process: their pictures take seconds."""
+"""Pages for several tests, rendered once per process, because their pictures take seconds."""
 
 import functools
 
@@ -10,7 +10,7 @@ __all__ = ["consumer_page", "small_page"]
 
 @functools.cache
 def consumer_page() -> str:
-    """Return the page of a report with everything in it."""
+    """Return the page of a report with all features."""
     return render_page(consumer_report())
 
 

@@ -1,6 +1,6 @@
-"""Reports of every shape that a fit can have: terms estimated, bounded or absent, on one to six axes.
+"""Random reports: terms are estimated, bounded or absent, on one to six axes.
 
-Run as a script it draws pages of so many random reports, all pictures included, and says which were lost:
+Run as a script, it draws pages with all pictures for a number of random reports and prints the failures:
 ``python -m tests.report.random_reports 200``.
 """
 
@@ -22,13 +22,13 @@ from tests.report.synthetic import axis_report, consumer_report
 __all__ = ["STATES", "axis_of", "random_report", "report_of"]
 
 STATES = ("estimated", "bounded", "absent")
-#: Symbol -> a size that a sensor may have, in SI; of a Gauss-Markov term there may be two.
+#: Symbol -> a typical size in SI; a model can have two Gauss-Markov terms.
 _SIZES = {"Q": 2e-6, "N": 1e-4, "B": 2e-5, "GM": 5e-5, "K": 1e-6, "R": 1e-8}
 _AXES: tuple[Axis, ...] = ("x", "y", "z")
 
 
 def axis_of(sensor: Sensor, axis: Axis, states: dict[str, str], rng: np.random.Generator) -> AxisReport:
-    """Return the result of an axis; `states` has what became of each term, N, B and K are never absent."""
+    """Return the result of an axis; `states` has the state of each term; N, B and K are never absent."""
     symbols = [symbol for symbol in TERMS for _ in range(int(states.get(f"{symbol}*", "1")))]
     keys, estimates, terms = term_keys(symbols), [], []
     for key, symbol in zip(keys, symbols, strict=True):
@@ -83,7 +83,7 @@ def random_report(rng: np.random.Generator) -> Report:
 
 
 def main() -> None:
-    """Draw so many random reports, and print how many pages and pictures were lost."""
+    """Draw random reports, and print the number of failed pages and pictures."""
     count, seed = int(sys.argv[1]), np.random.SeedSequence().entropy
     rng = np.random.default_rng(seed)
     lost = []

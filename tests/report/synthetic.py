@@ -1,7 +1,6 @@
-"""Reports of known truth, built from noise models without reading or fitting anything.
+"""Reports with known truth, built from noise models without reading or fitting.
 
-Theoretical curves with chi-squared scatter, so that a report is there in milliseconds and every
-number in it is known.
+Curves are theoretical with chi-squared scatter, so a report takes milliseconds and all its numbers are known.
 """
 
 from dataclasses import replace
@@ -44,7 +43,7 @@ def axis_report(
     relative_error: float = 0.02,
     overview_size: int = 400,
 ) -> AxisReport:
-    """Return an axis whose fit found exactly `model_text`, with scatter about its curve."""
+    """Return an axis whose fit found exactly `model_text`, with scatter around its curve."""
     rng = np.random.default_rng([len(model_text), ord(axis), sensor is Sensor.GYROSCOPE])
     model = NoiseModel.parse(model_text)
     curve = _curve(model, rate_hz, n, rng)
@@ -94,7 +93,7 @@ def axis_report(
 
 
 def consumer_report() -> Report:
-    """Return a report with everything in it: bounds, gaps, lines, a filter, Gauss-Markov terms."""
+    """Return a report with all features: bounds, gaps, lines, a filter, Gauss-Markov terms."""
     gap = Gap(start_s=4000.0, missing=24000, duration_s=120.0)
     tone = Finding(
         level="warning",
@@ -186,7 +185,7 @@ def consumer_report() -> Report:
 
 
 def small_report() -> Report:
-    """Return one short gyroscope axis: white noise, nothing else shown."""
+    """Return one short gyroscope axis with white noise and no other detected term."""
     axis = axis_report(
         Sensor.GYROSCOPE, "x", "N=0.001", bounds={"B": 3e-4, "K": 2e-4}, n=2000, overview_size=100
     )
@@ -194,7 +193,7 @@ def small_report() -> Report:
 
 
 def shortest_report(n: int) -> Report:
-    """Return an axis of a few samples, of which no term is shown and no bound is known."""
+    """Return an axis of a few samples, without detected terms and with unknown bounds."""
     bounds = {"B": 1.0, "K": 1.0}
     sensor = Sensor.ACCELEROMETER
     axis = axis_report(sensor, "z", "N=1e-3", bounds=bounds, n=n, rate_hz=10.0, overview_size=3)
@@ -217,7 +216,7 @@ def shortest_report(n: int) -> Report:
 def _curve(model: NoiseModel, rate_hz: float, n: int, rng: np.random.Generator) -> AllanCurve:
     m = 2 ** np.arange(int(np.log2(n / 2)) + 1)
     avar = model.avar(m.astype(np.float64), rate_hz=rate_hz)
-    # About the white-noise value; a scatter that shrinks to nothing would hide drawing mistakes.
+    # Degrees of freedom similar to white noise; a vanishing scatter would hide drawing errors.
     edf = np.maximum(1.5 * n / (2 * m) * (2 * m * m) / (2 * m * m + 1.0) - 1, 1.0)
     scatter = rng.chisquare(edf) / edf
     return AllanCurve(
@@ -271,7 +270,7 @@ def _estimates(model: NoiseModel, bounds: dict[str, float], error: float) -> tup
             key = f"GM{count}" if several else "GM"
             time = Interval(value=term.T, low=term.T / (1 + 6 * width), high=term.T * (1 + 6 * width))
         value = term.coefficient
-        # Walks and drifts are known less well than white noise.
+        # Walks and drifts have larger errors than white noise.
         wide = width * {"N": 0.1, "Q": 1.0, "B": 1.0, "GM": 2.0, "K": 4.0, "R": 5.0}[term.symbol]
         found.append(
             Estimate(
@@ -291,7 +290,7 @@ def _estimates(model: NoiseModel, bounds: dict[str, float], error: float) -> tup
 
 
 def _by_correlation_time(model: NoiseModel) -> list[NoiseTerm]:
-    """Return the terms, the Gauss-Markov ones by rising T, as a fit names them."""
+    """Return the terms, with Gauss-Markov terms sorted by T, as a fit names them."""
     return sorted(model.terms, key=lambda term: term.T if isinstance(term, GaussMarkov) else 0.0)
 
 

@@ -1,4 +1,4 @@
-"""Pictures drawn side by side: the same files, and the same sentences where one fails."""
+"""Pictures drawn in parallel equal those drawn one by one, and so do the errors."""
 
 import base64
 import os
@@ -22,8 +22,8 @@ def _two_axes() -> Report:
 
 
 @pytest.mark.usefixtures("forks")
-def test_the_number_at_a_time_changes_nothing(tmp_path: Path) -> None:
-    """Every file of a report, to the byte."""
+def test_the_number_of_workers_does_not_change_the_files(tmp_path: Path) -> None:
+    """Every file of a report is equal byte by byte."""
     one = write_report(_two_axes(), tmp_path / "one", workers=1)
     two = write_report(_two_axes(), tmp_path / "two", workers=2)
     assert [path.name for path in one] == [path.name for path in two]
@@ -32,7 +32,7 @@ def test_the_number_at_a_time_changes_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("forks")
 def test_pictures_are_drawn_in_other_processes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Two at a time where two are asked for; their results come in the order of the files."""
+    """Two workers draw two pictures at a time; the results keep the order of the files."""
     marks = tmp_path / "marks"
     marks.mkdir()
     work = drawings._draw_one
@@ -52,8 +52,8 @@ def test_pictures_are_drawn_in_other_processes(monkeypatch: pytest.MonkeyPatch, 
 
 @pytest.mark.usefixtures("forks")
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_picture_that_fails_is_named(monkeypatch: pytest.MonkeyPatch, workers: int) -> None:
-    """Of every format it would have had; the others are there."""
+def test_a_failed_picture_is_reported(monkeypatch: pytest.MonkeyPatch, workers: int) -> None:
+    """The error names all its formats, and the other pictures are drawn."""
     monkeypatch.delenv("IMUCAL_DEBUG", raising=False)
     whole = figure.axis_figure
 
@@ -71,8 +71,7 @@ def test_a_picture_that_fails_is_named(monkeypatch: pytest.MonkeyPatch, workers:
     assert set(found.addresses) == {report.axes[1].name, "gyro", "accel"}
 
 
-def test_no_formats_and_no_page_draw_nothing() -> None:
-    """Nor is anything drawn that nobody asked for."""
+def test_without_formats_and_page_nothing_is_drawn() -> None:
     assert draw(small_report(), ()).files == {}
     assert picture_names(small_report(), ()) == ()
 
@@ -85,10 +84,10 @@ def test_no_formats_and_no_page_draw_nothing() -> None:
         (("pdf",), {"pdf", "png"}, "png"),
     ],
 )
-def test_a_page_shows_what_was_drawn_for_the_folder(
+def test_the_page_uses_the_pictures_of_the_folder(
     formats: tuple[str, ...], drawn: set[str], kind: str
 ) -> None:
-    """A figure is rendered once a format; only where no browser shows that is there a png besides."""
+    """A figure is rendered once per format. A PNG is added only if browsers can't show the format."""
     found = draw(small_report(), formats, page=True, workers=1)
     assert {name.partition(".")[2] for name in found.files} == drawn
     assert found.addresses["gyro_x"].startswith(f"data:image/{kind};base64,")

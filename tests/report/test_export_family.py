@@ -1,4 +1,4 @@
-"""What every downstream format needs beside its line in the table; what is missing is said in a sentence."""
+"""Required parts of every export format; a sentence reports each missing part."""
 
 import re
 from dataclasses import replace
@@ -11,7 +11,7 @@ from tests.report.downstream import READERS
 
 
 def forgotten(target: Target) -> list[str]:
-    """Return what a format lacks, each with where to add it."""
+    """Return a sentence for each part that a format lacks, with the place to add it."""
     others = [other for other in TARGETS.values() if other is not target]
     taken = {_key(each) for other in others for each in (other.name, *other.aliases)}
     again = sorted(each for each in (target.name, *target.aliases) if _key(each) in taken)
@@ -41,12 +41,12 @@ def _key(name: str) -> str:
 
 @pytest.mark.parametrize("name", TARGETS)
 def test_a_format_is_complete(name: str) -> None:
-    """Its names, texts and reader are there."""
+    """It has names, texts and a parser in the tests."""
     assert forgotten(TARGETS[name]) == []
 
 
 def test_an_incomplete_new_format_is_reported() -> None:
-    """A line in the table alone: one sentence for each thing that is missing."""
+    """The format has only a line in the table."""
     fake = Target(name="fake", title="", file_name="", heading="", source="", kind="", formulas=(), text="")
     assert forgotten(fake) == [
         "fake: no file_name: name the file that a folder gets",
@@ -60,8 +60,8 @@ def test_an_incomplete_new_format_is_reported() -> None:
     ]
 
 
-def test_an_existing_name_or_file_is_reported() -> None:
-    """A copy of Kalibr's format under a new name keeps nothing for itself."""
+def test_a_duplicate_name_or_file_is_reported() -> None:
+    """The format is a copy of Kalibr's under a new name."""
     copy = replace(TARGETS["kalibr"], name="Kalibr 2", aliases=("open-vins",))
     assert forgotten(copy)[:2] == [
         "Kalibr 2: open-vins stands for another format already",

@@ -1,4 +1,4 @@
-"""The pictures: nothing overlaps, nothing is cut off, read-offs stand where they should."""
+"""Pictures: no text overlaps or is cut off, and read-off points are correct."""
 
 import io
 import itertools
@@ -30,7 +30,7 @@ from tests.slow_cases import first_by_default
 
 
 def _random_axis(seed: int) -> AxisReport:
-    """Return an axis as sensors from cheap to navigation grade give them, with any set of terms."""
+    """Return an axis of cheap to navigation grade with any set of terms."""
     rng = np.random.default_rng(seed)
     sensor = Sensor.GYROSCOPE if seed % 2 else Sensor.ACCELEROMETER
     axis: Axis = ("x", "y", "z")[seed % 3]
@@ -71,7 +71,7 @@ def _random_axis(seed: int) -> AxisReport:
 
 @pytest.mark.parametrize("seed", first_by_default(range(18), 7))
 def test_no_text_of_an_axis_picture_overlaps_another(seed: int) -> None:
-    """For random sensors: cheap to navigation grade, seconds to hours, any set of terms."""
+    """Sensors are random: cheap to navigation grade, seconds to hours, any set of terms."""
     axis = _random_axis(seed)
     figure = axis_figure(replace(consumer_report(), axes=(axis,)), axis)
     _check_texts(figure)
@@ -79,25 +79,24 @@ def test_no_text_of_an_axis_picture_overlaps_another(seed: int) -> None:
 
 @pytest.mark.parametrize("index", range(6))
 def test_no_text_of_a_typical_picture_overlaps_another(index: int) -> None:
-    """The report of a consumer IMU, with Gauss-Markov terms, bounds, lines and a filter."""
+    """The report is that of a consumer IMU, with Gauss-Markov terms, bounds, lines and a filter."""
     report = consumer_report()
     _check_texts(axis_figure(report, report.axes[index]))
 
 
 @pytest.mark.parametrize("sensor", list(Sensor))
 def test_no_text_of_an_overview_overlaps_another(sensor: Sensor) -> None:
-    """The table under the plots included."""
+    """The table below the plots is included."""
     _check_texts(sensor_figure(consumer_report(), sensor))
 
 
-def test_an_overview_needs_an_axis() -> None:
-    """A sensor that is not in the report has no picture."""
+def test_an_overview_without_an_axis_is_an_error() -> None:
     with pytest.raises(ValueError, match="the report has no accelerometer axis"):
         sensor_figure(small_report(), Sensor.ACCELEROMETER)
 
 
 def test_every_term_is_labelled_with_its_value_and_unit() -> None:
-    """N, B and K are always named, a bound as a bound."""
+    """N, B and K are always labelled, and bounds are marked as bounds."""
     report = consumer_report()
     texts = [" ".join(_words(axis_figure(report, axis))) for axis in report.axes[:3]]
     assert "N 0.4125 ± 0.0016 deg/√h" in texts[0]
@@ -111,8 +110,8 @@ def test_every_term_is_labelled_with_its_value_and_unit() -> None:
     assert all("minimum" in text for text in texts)
 
 
-def test_a_term_out_of_view_is_still_named() -> None:
-    """So small that its line lies below the plot: the number stands there all the same."""
+def test_a_term_below_the_plot_is_labelled() -> None:
+    """The label contains the number although the line is not visible."""
     axis = axis_report(Sensor.GYROSCOPE, "x", "N=1e-3 + B=1e-8 + K=1e-12")
     words = _words(axis_figure(replace(small_report(), axes=(axis,)), axis))
     assert "K 0.0000124 ± 0.0000018 deg/h/√h (below)" in words
@@ -126,12 +125,12 @@ def test_a_term_out_of_view_is_still_named() -> None:
         ("K=1e-3", 3.0, 1e-3),
         ("Q=1e-3", 3**0.5, 1e-3),
         ("R=1e-3", 2**0.5, 1e-3),
-        # The maximum of the continuous process: 0.617 sigma at 1.89 T.
+        # The maximum of the continuous process is 0.617 sigma at 1.89 T.
         ("GM(sigma=1e-3, T=10)", 18.9, 6.174e-4),
     ],
 )
-def test_read_offs_lie_on_their_line(text: str, tau: float, height: float) -> None:
-    """Where IEEE Std 952 reads each coefficient, the term's own curve has that height."""
+def test_read_off_points_are_on_the_line_of_their_term(text: str, tau: float, height: float) -> None:
+    """IEEE Std 952 reads each coefficient at this averaging time."""
     axis = axis_report(Sensor.GYROSCOPE, "x", text, rate_hz=1000.0)
     drawn = drawn_terms(axis.fit)[0]
     assert drawn.term.read_off()[0] == pytest.approx(tau)
@@ -142,7 +141,7 @@ def test_read_offs_lie_on_their_line(text: str, tau: float, height: float) -> No
 
 
 def test_uncertain_ends_of_the_curve_are_not_drawn() -> None:
-    """Points with less than two degrees of freedom, where there are better ones."""
+    """They have less than two degrees of freedom; if all points are uncertain, all are drawn."""
     curve = small_report().axes[0].fit.curve
     shown = shown_points(curve)
     assert (curve.edf[shown] >= 2).all()
@@ -152,7 +151,7 @@ def test_uncertain_ends_of_the_curve_are_not_drawn() -> None:
 
 
 def test_an_axis_without_a_spectrum_or_a_known_interval_can_be_drawn() -> None:
-    """A curve made by another tool has no samples behind it."""
+    """A curve of another tool has no samples."""
     report = small_report()
     axis = report.axes[0]
     empty = Spectrum(frequency=np.zeros(0), psd=np.zeros(0), count=np.zeros(0))
@@ -163,16 +162,16 @@ def test_an_axis_without_a_spectrum_or_a_known_interval_can_be_drawn() -> None:
     _check_texts(sensor_figure(bare, Sensor.GYROSCOPE))
 
 
-def test_a_dollar_sign_in_a_path_is_no_formula() -> None:
-    """Windows and shells know such names."""
+def test_a_dollar_sign_in_a_path_is_not_a_formula() -> None:
+    """Such paths exist in Windows and in shells."""
     report = small_report()
     report = replace(report, source=replace(report.source, path="C$/still$_^_\\night.csv"))
     assert "still$_^_\\night.csv" in _words(axis_figure(report, report.axes[0]))
     assert render(axis_figure(report, report.axes[0]), "png")
 
 
-def test_drawing_leaves_no_state_behind() -> None:
-    """No pyplot, no backend chosen, no setting changed."""
+def test_drawing_changes_no_global_state() -> None:
+    """Drawing uses no pyplot, chooses no backend and changes no setting."""
     before = dict(mpl.rcParams)
     report = small_report()
     render(axis_figure(report, report.axes[0]), "svg")
@@ -181,19 +180,19 @@ def test_drawing_leaves_no_state_behind() -> None:
 
 
 def test_png_is_readable_at_800_pixels() -> None:
-    """Twice as wide, so that a screen may halve it; the smallest text is then 9 px or more."""
+    """The PNG is twice as wide, so that screens can halve it; the smallest text then has at least 9 px."""
     report = small_report()
     figure = axis_figure(report, report.axes[0])
     image = Image.open(io.BytesIO(render(figure, "png", version="1")))
     assert image.width == 1600
     assert image.info["Software"] == "imucal 1"
     smallest = min(float(text.get_fontsize()) for text in _texts(figure))
-    # Points at 10 inches across 800 px: 80 px an inch. Tick exponents are 0.7 of their base.
+    # 10 inches are 800 px wide, so there are 80 px per inch. Exponents at ticks have 0.7 of the text size.
     assert smallest * 80 / 72 >= 9
 
 
 def test_an_unknown_format_is_refused() -> None:
-    """With the known ones."""
+    """The error lists the known formats."""
     report = small_report()
     with pytest.raises(ValueError, match="format 'bmp' is not one of png, svg, pdf"):
         render(axis_figure(report, report.axes[0]), "bmp")
@@ -201,7 +200,10 @@ def test_an_unknown_format_is_refused() -> None:
 
 @pytest.mark.parametrize("group", [{symbol: term.stroke for symbol, term in TERMS.items()}, AXES])
 def test_colours_are_readable_and_distinguishable_without_colour(group: dict[str, Stroke]) -> None:
-    """As text on white the contrast is 4.5 or more (WCAG 2.2, AA), on the dark page too; dashes differ."""
+    """Text has a contrast of at least 4.5 on white and on the dark page (WCAG 2.2, AA).
+
+    The dashes of the lines differ.
+    """
     for stroke in (*group.values(), MODEL, DATA):
         assert _contrast(stroke.light, "#ffffff") >= 4.5
         assert _contrast(stroke.dark, "#12171d") >= 4.5
@@ -210,7 +212,7 @@ def test_colours_are_readable_and_distinguishable_without_colour(group: dict[str
 
 
 def test_axes_of_an_overview_are_distinguishable_by_the_colour_blind() -> None:
-    """Under simulated protanopia and deuteranopia (Viénot 1999) no two colours come near each other."""
+    """Under simulated protanopia and deuteranopia (Viénot 1999) all colours remain different."""
     for matrix in (
         [[0.11238, 0.88762, 0], [0.11238, 0.88762, 0], [0.00401, -0.00401, 1]],
         [[0.29275, 0.70725, 0], [0.29275, 0.70725, 0], [-0.02234, 0.02234, 1]],
@@ -232,7 +234,7 @@ def _contrast(one: str, other: str) -> float:
 
 
 def _check_texts(figure: Figure) -> None:
-    """Fail where two texts overlap, or one is cut off by the edge of the picture."""
+    """Fail if two texts overlap, or if one is cut off by the edge of the picture."""
     figure.draw_without_rendering()
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     boxes = [(text.get_text(), _extent(text, renderer)) for text in _texts(figure)]
@@ -245,14 +247,14 @@ def _check_texts(figure: Figure) -> None:
 
 
 def _overlap(one: Bbox, other: Bbox) -> bool:
-    # One pixel of tolerance: extents are rounded up to whole pixels.
+    # One pixel of tolerance, because extents are rounded up to whole pixels.
     beside = one.x0 + 1 >= other.x1 or other.x0 + 1 >= one.x1
     above = one.y0 + 1 >= other.y1 or other.y0 + 1 >= one.y1
     return not bool(beside or above)
 
 
 def _extent(text: Text, renderer: object) -> Bbox:
-    # An annotation's own extent would include the line that leads to it.
+    # The extent of an annotation would include its leader line.
     return Text.get_window_extent(text, renderer)  # type: ignore[arg-type]
 
 
@@ -261,7 +263,7 @@ def _words(figure: Figure) -> list[str]:
 
 
 def _texts(figure: Figure) -> list[Text]:
-    """Return the texts that are seen; matplotlib also keeps labels of ticks out of view."""
+    """Return the visible texts; matplotlib also keeps labels of hidden ticks."""
     figure.draw_without_rendering()
     hidden = set()
     for axes in figure.axes:
@@ -276,8 +278,8 @@ def _texts(figure: Figure) -> list[Text]:
     return [t for t in found if t.get_visible() and t.get_text().strip() and id(t) not in hidden]
 
 
-def test_the_check_itself_finds_an_overlap() -> None:
-    """A witness that never fails would prove nothing."""
+def test_the_overlap_check_finds_an_overlap() -> None:
+    """A check that never fails would prove nothing."""
     figure = axis_figure(small_report(), small_report().axes[0])
     figure.text(0.5, 0.5, "over")
     figure.text(0.5, 0.5, "under")
@@ -287,14 +289,14 @@ def test_the_check_itself_finds_an_overlap() -> None:
 
 @pytest.mark.parametrize("n", [4, 10, 60])
 def test_the_shortest_recordings_can_be_drawn(n: int) -> None:
-    """Two points on the curve, no term shown, nothing known of the bounds."""
+    """The curve has two points, no term is detected, and the bounds are unknown."""
     report = shortest_report(n)
     _check_texts(axis_figure(report, report.axes[0]))
     _check_texts(sensor_figure(report, Sensor.ACCELEROMETER))
 
 
-def test_the_legend_shows_a_mark_only_if_the_plot_has_it() -> None:
-    """The line of a bounded B has none, that of N has a diamond."""
+def test_the_legend_shows_only_marks_of_the_plot() -> None:
+    """The line of a bounded B has no mark, that of N has a diamond."""
     report = small_report()
     fit = replace(report.axes[0].fit, estimates=(report.axes[0].fit["N"], Estimate.bounded("B", "B", 1e-4)))
     figure = Figure()
@@ -308,11 +310,11 @@ def test_the_legend_shows_a_mark_only_if_the_plot_has_it() -> None:
 
 
 def test_a_picture_shows_the_alternatives_of_a_term() -> None:
-    """In the table of a sensor and at the line of an axis."""
+    """They are in the table of a sensor and at the line of an axis."""
     report = consumer_report()
     axis = report.axes[0]
-    told = replace(axis.fit["K"], alternatives=("GM",), horizon_s=564.0)
-    fit = replace(axis.fit, estimates=tuple(told if e.key == "K" else e for e in axis.fit.estimates))
+    estimate = replace(axis.fit["K"], alternatives=("GM",), horizon_s=564.0)
+    fit = replace(axis.fit, estimates=tuple(estimate if e.key == "K" else e for e in axis.fit.estimates))
     changed = replace(report, axes=(replace(axis, fit=fit), *report.axes[1:]))
     note = "or GM, T > 564 s"
     assert note in {text.get_text() for text in sensor_figure(changed, axis.sensor).texts}

@@ -1,4 +1,4 @@
-"""The picture of a decomposition: what it draws, in which units, and that it is the same each time."""
+"""The picture of a decomposition: panels, units and reproducibility."""
 
 import numpy as np
 import numpy.testing as npt
@@ -20,7 +20,7 @@ def _parts(text: str, *, sensor: str = "gyroscope", n: int = 2000, level: float 
 
 
 def test_each_part_has_its_panel() -> None:
-    """The bias above, then every part but the level, named; a single part is the bias itself."""
+    """The bias is at the top, then each part except the level. A single part equals the bias."""
     figure = bias_figure(_parts("N=1e-3 + B=5e-4 + K=1e-4 + R=1e-6"))
     top, *parts = figure.axes
     assert top.get_ylabel() == "bias minus its mean (deg/h)"
@@ -32,8 +32,8 @@ def test_each_part_has_its_panel() -> None:
 
 
 @pytest.mark.parametrize(("factor", "unit", "size"), [(1e-4, "µg", 1e6), (1.0, "µg", 1e6)])
-def test_it_draws_what_was_found(factor: float, unit: str, size: float) -> None:
-    """In data-sheet units, less the mean."""
+def test_the_bias_is_drawn_in_data_sheet_units(factor: float, unit: str, size: float) -> None:
+    """The mean is subtracted."""
     parts = _parts(f"N={factor:g} + B={factor / 2:g}", sensor="accelerometer", level=9.81)
     (axes,) = bias_figure(parts).axes
     assert axes.get_ylabel() == f"bias minus its mean ({unit})"
@@ -44,8 +44,8 @@ def test_it_draws_what_was_found(factor: float, unit: str, size: float) -> None:
     npt.assert_allclose(np.asarray(drawn.get_ydata()), expected, atol=1e-9 * np.ptp(expected))
 
 
-def test_averages_skip_what_is_missing() -> None:
-    """The mean of those that are there, NaN where there is none; the last is of fewer."""
+def test_averages_skip_missing_samples() -> None:
+    """An average without samples is NaN, and the last one has fewer samples."""
     parts = _parts("N=1 + K=0.1")
     time, mean, count = averages(parts, 150)
     assert time[0] == pytest.approx(7.45)
@@ -55,8 +55,8 @@ def test_averages_skip_what_is_missing() -> None:
     assert count[-1] == 2000 - 13 * 150
 
 
-def test_the_picture_is_the_same_each_time() -> None:
-    """Byte by byte, with the log's name at its foot."""
+def test_the_picture_of_a_bias_is_reproducible() -> None:
+    """It is equal byte by byte, and contains the log's name at the bottom."""
     parts = _parts("N=1e-3 + B=5e-4 + K=1e-4")
     first = render(bias_figure(parts, source="a $b$ log.mcap"), "png")
     assert first == render(bias_figure(parts, source="a $b$ log.mcap"), "png")
@@ -67,7 +67,7 @@ def test_the_picture_is_the_same_each_time() -> None:
 
 
 def test_a_constant_bias_is_drawn() -> None:
-    """White noise alone: a level with its band."""
+    """White noise alone gives a level with its band."""
     (axes,) = bias_figure(_parts("N=1e-3")).axes
     low, high = axes.get_ylim()
     assert low < 0 < high

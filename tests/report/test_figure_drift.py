@@ -1,4 +1,4 @@
-"""The picture of a drift: which plots and lines, what is marked, and that it is the same each time."""
+"""The picture of a drift: plots, lines, marks and reproducibility."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from tests.report.synthetic import consumer_report, shortest_report, small_repor
 
 
 def test_each_kind_of_quantity_has_its_plot() -> None:
-    """Angle, velocity and position; each with the parts and what they make together."""
+    """The plots are angle, velocity and position, each with its parts and their total."""
     figure = drift_figure(consumer_report(), imucal.drift(consumer_report()))
     assert [axes.get_ylabel() for axes in figure.axes] == ["angle (deg)", "velocity (m/s)", "position (m)"]
     legends = [axes.get_legend_handles_labels()[1] for axes in figure.axes]
@@ -22,8 +22,8 @@ def test_each_kind_of_quantity_has_its_plot() -> None:
     assert [axes.get_ylabel() for axes in alone.axes] == ["velocity (m/s)", "position (m)"]
 
 
-def test_it_draws_what_was_found() -> None:
-    """Lines go through the values; those that were asked for are marked and told, with the leading term."""
+def test_lines_go_through_the_computed_drift() -> None:
+    """The requested times are marked and labelled, with the dominant term."""
     report = consumer_report()
     found = imucal.drift(report, [2.0, 30.0])
     for axes, name, factor in zip(
@@ -43,8 +43,8 @@ def test_it_draws_what_was_found() -> None:
         npt.assert_allclose(main[[0, -1]], marks)
 
 
-def test_what_no_record_has_seen_is_shaded() -> None:
-    """From the first such time; where all is seen, nothing is."""
+def test_times_beyond_the_record_are_shaded() -> None:
+    """If the record is long enough, nothing is shaded."""
     short = drift_figure(small_report(), imucal.drift(small_report()))
     assert all(axes.texts[-1].get_text().strip() == "extrapolated" for axes in short.axes)
     seen = drift_figure(consumer_report(), imucal.drift(consumer_report()))
@@ -52,7 +52,7 @@ def test_what_no_record_has_seen_is_shaded() -> None:
 
 
 def test_a_single_time_and_a_bound_are_drawn() -> None:
-    """A mark without a line; a bound as a bound."""
+    """A single time has a mark without a line, and a bound is marked as a bound."""
     report = small_report()
     white = replace(report.axes[0].fit["N"], status="bounded", value=None, low=0.0)
     fit = replace(report.axes[0].fit, model=NoiseModel(terms=()), estimates=(white,))
@@ -61,8 +61,8 @@ def test_a_single_time_and_a_bound_are_drawn() -> None:
     assert axes.texts[0].get_text().startswith("< ")
 
 
-def test_the_picture_is_the_same_each_time() -> None:
-    """Byte by byte, with the log's name at its foot."""
+def test_the_picture_of_a_drift_is_reproducible() -> None:
+    """It is equal byte by byte, and contains the log's name at the bottom."""
     one, other = (drift_figure(small_report(), imucal.drift(small_report())) for _ in range(2))
     assert render(one, "png") == render(other, "png")
     assert "still_night.mcap" in [text.get_text() for text in one.texts]

@@ -1,4 +1,4 @@
-"""Models in the form of a report: what takes the report of a log takes them."""
+"""Models as reports: all users of a log's report accept them."""
 
 import math
 from pathlib import Path
@@ -23,8 +23,8 @@ WANTED = {
 
 
 @pytest.mark.parametrize("target", [name for name in READERS if name not in ("kalibr", "openvins", "dlio")])
-def test_a_consumer_reads_the_numbers_of_the_sheet(target: str, tmp_path: Path) -> None:
-    """As fitted, its own parser gets N and K of the data sheet, in SI."""
+def test_as_fitted_exports_contain_the_numbers_of_the_data_sheet(target: str, tmp_path: Path) -> None:
+    """The target's parser gets N and K of the data sheet in SI."""
     (path,) = export(
         model_as_report(SHEET, rate_hz=200.0), target, tmp_path, ExportOptions(numbers="as-fitted")
     )
@@ -36,8 +36,8 @@ def test_a_consumer_reads_the_numbers_of_the_sheet(target: str, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("target", [name for name, each in TARGETS.items() if each.covers])
-def test_a_filter_gets_a_pair_though_the_sheet_has_no_walk(target: str) -> None:
-    """White noise and flicker are all that most data sheets have."""
+def test_a_data_sheet_without_a_walk_gives_white_noise_and_walk(target: str) -> None:
+    """Most data sheets contain only white noise and flicker."""
     text = render(imucal.model_as_report({GYRO: "N=0.3deg/sqrt(h) + B=5deg/h"}, rate_hz=200.0), target)
     assert "N=0.3deg/sqrt(h) + B=5deg/h (gyroscope) (a model as given, no log" in text
     assert "f = 200 Hz (given by the user), nothing recorded" in text
@@ -45,16 +45,16 @@ def test_a_filter_gets_a_pair_though_the_sheet_has_no_walk(target: str) -> None:
     assert "K <" not in text
 
 
-def test_the_pair_of_a_sheet_is_that_of_its_model() -> None:
-    """N K >= B²/2 where there is no walk: flicker is touched at one frequency."""
+def test_the_pair_covers_the_flicker_of_the_data_sheet() -> None:
+    """Without a walk, N K >= B²/2 covers flicker at the frequency where the two curves touch."""
     report = model_as_report({GYRO: "N=1e-4 + B=2e-5"}, rate_hz=200.0)
     pair = imucal.filter_numbers([axis.fit for axis in report.axes])
     assert pair.white**2 > 1e-8
     assert (pair.white**2 - 1e-8) * pair.walk**2 == pytest.approx((2e-5**2 / 2) ** 2, rel=0.02)
 
 
-def test_what_a_model_lacks_is_zero_and_known() -> None:
-    """Axes share one fit; there is nothing recorded, and no interval."""
+def test_terms_missing_in_a_model_are_zero() -> None:
+    """The axes share one fit without intervals, and the report contains no recording."""
     report = model_as_report({ACCEL: "N=1e-3 + GM(sigma=1e-4, T=50s)"}, rate_hz=100.0)
     assert [axis.name for axis in report.axes] == ["accel_x", "accel_y", "accel_z"]
     fit = report.axes[0].fit
@@ -67,8 +67,8 @@ def test_what_a_model_lacks_is_zero_and_known() -> None:
     assert "±" not in report.verdict.sentence
 
 
-def test_a_plan_has_a_sheets_sensor_once() -> None:
-    """Three axes of one model would need the same three times; a log of it has no length."""
+def test_a_plan_for_a_data_sheet_has_one_row_per_sensor() -> None:
+    """Three axes with the same model need the same time. There is no duration of a log."""
     plan = imucal.plan(model_as_report(SHEET, rate_hz=200.0))
     assert [axis.axis for axis in plan.axes] == ["gyro", "accel"]
     assert {axis.duration_s for axis in plan.axes} == {None}
@@ -76,8 +76,8 @@ def test_a_plan_has_a_sheets_sensor_once() -> None:
     assert plan.axes[0].needs == alone.axes[0].needs
 
 
-def test_a_sheet_that_is_silent_of_a_term_is_not_compared() -> None:
-    """No K in a data sheet does not say that there is none."""
+def test_a_term_missing_in_a_data_sheet_is_not_compared() -> None:
+    """A data sheet without K does not mean that K is zero."""
     sheet, own = (model_as_report({GYRO: text}, rate_hz=200.0) for text in ("N=1e-4", "N=1e-4 + K=1e-6"))
     result = imucal.compare(own, sheet)
     assert {(row.key, row.outcome) for row in result.differences} == {("N", "same"), ("K", "only-a")}

@@ -1,6 +1,6 @@
-"""What a report looks like, whole: every word of the page, every comment of an export, every line drawn.
+"""Golden files of a report: all text of the page, all comments of exports, all lines of the pictures.
 
-Renew with ``--update-golden`` and read the difference. Numbers of many digits may differ in their last.
+Renew with ``--update-golden`` and read the diff. Long numbers may differ in their last digits.
 """
 
 import json
@@ -28,18 +28,18 @@ from imucal.report.result import Report
 from tests.report.synthetic import axis_report, consumer_report, shortest_report
 
 _FOLDER = Path(__file__).parent / "golden"
-#: More digits than anything that is printed for people.
+#: Numbers with more digits than any text for users.
 _LONG = re.compile(r"-?\d+\.\d{7,}(?:e[+-]?\d+)?|-?\d\.\d{5,}e[+-]?\d+")
 
-#: Tags about which white space means nothing.
+#: Tags that are surrounded by meaningless white space.
 _BLOCK = re.compile(
     r"\s*(</?(?:section|h\d|p|table|caption|thead|tbody|tr|th|td|ul|li|figure|figcaption|details|summary|div|nav"
     r"|main|noscript|svg|line|rect|text)\b[^>]*>)\s*"
 )
 
 
-def test_exports_are_the_golden_ones(*, update_golden: bool) -> None:
-    """Bounds, terms without a place, Gauss-Markov states, and one file with every choice made."""
+def test_exports_equal_the_golden_file(*, update_golden: bool) -> None:
+    """They contain bounds, unsupported terms and Gauss-Markov states; one file has all options."""
     texts = [f"=== {name}\n{render(consumer_report(), name)}" for name in TARGETS]
     chosen = render(
         consumer_report(),
@@ -51,24 +51,24 @@ def test_exports_are_the_golden_ones(*, update_golden: bool) -> None:
     _compare("exports.txt", "\n".join(texts), update=update_golden)
 
 
-def test_the_page_is_the_golden_one(*, update_golden: bool) -> None:
-    """Its sections without the scripts: of a report with everything, and of four samples."""
+def test_the_page_equals_the_golden_file(*, update_golden: bool) -> None:
+    """The sections without scripts are compared, for a full report and one of four samples."""
     texts = [_sections(render_page(report)) for report in (_everything(), shortest_report(4))]
     _compare("page.txt", "\n\n=== four samples\n".join(texts), update=update_golden)
 
 
-def test_what_the_plots_of_the_page_draw_is_the_golden_one(*, update_golden: bool) -> None:
-    """Curve, model, terms, spectrum, signal, gaps, what stands out; digits enough and no more."""
+def test_the_data_of_the_plots_equal_the_golden_file(*, update_golden: bool) -> None:
+    """The data are curve, model, terms, spectrum, signal, gaps and outliers, with the necessary digits."""
     short = replace(_everything(), axes=(_short_axis(),))
     documents = [json.loads(page_data(report)) for report in (short, shortest_report(4))]
     text = "\n".join(json.dumps(document, ensure_ascii=False, indent=1) for document in documents)
-    # A list of numbers stands on one line.
+    # A list of numbers is on one line.
     text = re.sub(r"\[[^\[\]{}]*\]", lambda found: re.sub(r"\s+", " ", found[0]), text)
     _compare("page_data.txt", text, update=update_golden)
 
 
-def test_what_the_pictures_draw_is_the_golden_one(*, update_golden: bool) -> None:
-    """Limits, names, and where the lines, bands and marks stand; not how thick they are."""
+def test_the_contents_of_the_pictures_equal_the_golden_file(*, update_golden: bool) -> None:
+    """Limits, names and positions of lines, bands and marks are compared, but not line widths."""
     report, short = consumer_report(), replace(_everything(), axes=(_short_axis(),))
     figures = [(axis.name, axis_figure(report, axis)) for axis in report.axes]
     figures += [("short", axis_figure(short, short.axes[0]))]
@@ -108,7 +108,7 @@ def _sections(page: str) -> str:
     for node in root.xpath("//script|//style"):
         node.drop_tree()
     for image in root.xpath("//img"):
-        # The bytes of a picture are those of the library that drew it.
+        # The bytes of a picture depend on the library that drew it.
         image.set("src", image.get("src").partition(",")[0])
     parts = [root.xpath("//title")[0], root.xpath("//h1")[0], *root.xpath("//nav|//main")]
     text = "\n".join(etree.tostring(part, encoding="unicode") for part in parts)
@@ -140,7 +140,7 @@ def _drawn(figure: Figure) -> Iterator[str]:
 
 
 def _name(artist: Artist) -> str:
-    """Return its label in the legend; matplotlib counts those without one."""
+    """Return the artist's label in the legend; matplotlib numbers artists without one."""
     label = str(artist.get_label())
     return "" if label.startswith("_") else label
 
@@ -150,14 +150,14 @@ def _vertices(mark: Collection) -> Any:  # noqa: ANN401 - matplotlib's arrays
 
 
 def _points(x: Any, y: Any) -> str:  # noqa: ANN401 - matplotlib's arrays
-    """Return how many points there are, both ends, and the mean and spread of their heights."""
+    """Return the number of points, both ends, and mean and spread of the heights."""
     if not x.size:
         return "none"
     return f"{x.size}: {_numbers([x[0], y[0], x[-1], y[-1], x.mean(), y.mean(), y.std()])}"
 
 
 def _numbers(values: list[float]) -> str:
-    # More digits than `_LONG` asks for: they are compared as numbers.
+    # More digits than `_LONG` requires, so that they are compared as numbers.
     return " ".join(f"{value:.9e}" for value in values)
 
 

@@ -1,4 +1,4 @@
-"""report.json: its schema, its golden file, the way back, and what it says about a bad file."""
+"""report.json: its schema, its golden file, reading it back, and errors for invalid files."""
 
 import json
 import math
@@ -25,8 +25,8 @@ _GOLDEN = Path(__file__).parent / "golden" / "report.json"
 
 
 @pytest.mark.parametrize("make", [consumer_report, small_report, lambda: shortest_report(4)])
-def test_document_fits_the_shipped_schema(make: Callable[[], Report]) -> None:
-    """The whole report and each axis's own document are valid; the schema itself is, too."""
+def test_documents_are_valid_by_the_schema(make: Callable[[], Report]) -> None:
+    """Documents are those of the report and of each axis. The schema itself is valid too."""
     report = make()
     validator = jsonschema.Draft202012Validator(schema())
     validator.check_schema(schema())
@@ -44,7 +44,7 @@ def test_document_fits_the_shipped_schema(make: Callable[[], Report]) -> None:
         (("schema",), "imucal/report/1"),
     ],
 )
-def test_schema_refuses_what_is_wrong(place: tuple[Any, ...], value: object) -> None:
+def test_the_schema_refuses_wrong_documents(place: tuple[Any, ...], value: object) -> None:
     """A schema that accepts everything would prove nothing."""
     document: Any = to_document(consumer_report())
     _set(document, place, value)
@@ -53,7 +53,7 @@ def test_schema_refuses_what_is_wrong(place: tuple[Any, ...], value: object) -> 
 
 
 def _strict(part: object) -> Any:  # noqa: ANN401 - JSON
-    """Return a schema that allows no other keys in objects whose keys it lists."""
+    """Return a schema that allows only the listed keys in objects that list keys."""
     if isinstance(part, list):
         return [_strict(one) for one in part]
     if not isinstance(part, dict):
@@ -83,7 +83,7 @@ def _listed(part: object) -> set[str]:
 
 
 def _fitted_report() -> Report:
-    """Return the report of a fit with bins, segments, a file behind a URL and its range."""
+    """Return the report of a fit with bins, segments, a remote log and its range."""
     samples = imucal.NoiseModel.parse("N=1e-4 + K=1e-5").simulate(
         40_000, rate_hz=50.0, rng=np.random.default_rng(5)
     )
@@ -95,7 +95,7 @@ def _fitted_report() -> Report:
 
 
 def test_the_writer_and_the_schema_have_the_same_keys() -> None:
-    """No key is written that the schema does not list, and the other way round; docs/json.md shows them."""
+    """Each written key is in the schema and in docs/json.md, and each key of the schema is written."""
     documents = [to_document(make()) for make in (consumer_report, small_report, _fitted_report)]
     strict = jsonschema.Draft202012Validator(_strict(schema()))
     for document in documents:
@@ -105,8 +105,8 @@ def test_the_writer_and_the_schema_have_the_same_keys() -> None:
     assert _listed(schema()) - set().union(*map(_names, documents)) == set()
 
 
-def test_document_is_the_golden_one(*, update_golden: bool) -> None:
-    """Names, order and numbers of report.json are a promise; renew with --update-golden."""
+def test_the_document_equals_the_golden_file(*, update_golden: bool) -> None:
+    """Names, order and numbers of report.json are stable; renew the file with --update-golden."""
     text = dumps(to_document(small_report()))
     if update_golden:
         _GOLDEN.parent.mkdir(exist_ok=True)
@@ -119,8 +119,8 @@ def test_document_is_the_golden_one(*, update_golden: bool) -> None:
 
 
 @pytest.mark.parametrize("make", [consumer_report, small_report, lambda: shortest_report(4)])
-def test_way_back_gives_the_same_report(make: Callable[[], Report]) -> None:
-    """Reading and writing again changes not one bit of the file."""
+def test_a_report_is_read_back_exactly(make: Callable[[], Report]) -> None:
+    """Reading and writing again does not change a byte of the file."""
     report = make()
     text = dumps(to_document(report))
     again = from_document(json.loads(text))
@@ -139,7 +139,7 @@ def test_way_back_gives_the_same_report(make: Callable[[], Report]) -> None:
 
 
 def test_alternatives_of_a_term_are_read_back() -> None:
-    """Other terms, for how long it holds, and how much wider it became; a file without them has none."""
+    """They include other terms, the horizon, and the widening of the interval. Older files have none."""
     report = small_report()
     axis = report.axes[0]
     doubtful = tuple(
@@ -154,8 +154,8 @@ def test_alternatives_of_a_term_are_read_back() -> None:
     assert {(e.alternatives, e.horizon_s, e.widening) for e in plain} == {((), math.inf, 1.0)}
 
 
-def test_unknown_numbers_are_null_and_come_back() -> None:
-    """No NaN and no infinity stands in the file; an unknown bound comes back as infinite."""
+def test_unknown_numbers_are_null_and_read_back() -> None:
+    """The file contains no NaN or infinity; an unknown bound is read back as infinite."""
     report = small_report()
     axis = report.axes[0]
     curve = replace(axis.fit.curve, edf=np.full(axis.fit.curve.edf.size, np.nan))
@@ -171,8 +171,8 @@ def test_unknown_numbers_are_null_and_come_back() -> None:
     assert again.fit["K"].high == math.inf
 
 
-def test_every_finding_is_there_once_with_its_axis() -> None:
-    """A script that looks for warnings reads one list; the file of an axis has those that concern it."""
+def test_every_finding_is_written_once_with_its_axis() -> None:
+    """A script needs only one list for all warnings; the file of an axis has the findings about it."""
     report = consumer_report()
     own = Finding("warning", "step", "A jump.", axis="gyro_x")
     sensor, log = (Finding("info", "rate-given", "A rate.", axis=axis) for axis in ("gyro", None))
@@ -193,7 +193,7 @@ def test_every_finding_is_there_once_with_its_axis() -> None:
 
 
 def test_the_summary_has_the_numbers_of_usable_axes() -> None:
-    """By axis and term, as in the axes themselves; none of a log that was moved."""
+    """It is sorted by axis and term, with the numbers of the axes; a log of a moving sensor has none."""
     report = consumer_report()
     document: Any = to_document(report)
     assert [*document["summary"]] == [axis.name for axis in report.axes]
@@ -206,7 +206,7 @@ def test_the_summary_has_the_numbers_of_usable_axes() -> None:
 
 
 def test_a_file_of_version_1_is_read() -> None:
-    """It has the raw signal in each axis, and the findings of an axis there and again in its fit."""
+    """Version 1 has the raw signal in each axis, and the findings of an axis also in its fit."""
     old = json.loads((_GOLDEN.parent / "report-1.json").read_text(encoding="utf-8"))
     assert old["schema"] == "imucal/report/1"
     report, again = small_report(), from_document(old)
@@ -218,8 +218,8 @@ def test_a_file_of_version_1_is_read() -> None:
     assert again.findings == report.findings
 
 
-def test_the_raw_signals_are_in_a_file_of_their_own(tmp_path: Path) -> None:
-    """It is read with the report; without it the signals are empty, and a bad one is an error."""
+def test_raw_signals_are_in_a_separate_file(tmp_path: Path) -> None:
+    """It is read with the report. If it is missing, signals are empty; an invalid file is an error."""
     report = small_report()
     (tmp_path / "report.json").write_text(dumps(to_document(report)), encoding="utf-8")
     assert load(tmp_path).axes[0].overview.low.size == 0
@@ -232,8 +232,8 @@ def test_the_raw_signals_are_in_a_file_of_their_own(tmp_path: Path) -> None:
         load(tmp_path)
 
 
-def test_load_takes_the_file_or_its_folder(tmp_path: Path) -> None:
-    """People name the folder that the run printed."""
+def test_load_accepts_the_file_or_its_folder(tmp_path: Path) -> None:
+    """The output of a run contains the folder."""
     (tmp_path / "report.json").write_text(dumps(to_document(small_report())), encoding="utf-8")
     assert load(tmp_path).axes[0].name == load(tmp_path / "report.json").axes[0].name == "gyro_x"
 
@@ -304,7 +304,7 @@ def test_load_takes_the_file_or_its_folder(tmp_path: Path) -> None:
 def test_errors_contain_place_finding_and_expectation(
     place: tuple[Any, ...], value: object, message: str
 ) -> None:
-    """The place is a path into the document."""
+    """The place is a path in the document."""
     document: Any = to_document(consumer_report())
     _set(document, place, value)
     with pytest.raises(ReadError) as caught:
@@ -312,8 +312,8 @@ def test_errors_contain_place_finding_and_expectation(
     assert str(caught.value) == message
 
 
-def test_a_missing_key_is_named() -> None:
-    """With the keys that stand there."""
+def test_a_missing_key_is_reported() -> None:
+    """The error lists the existing keys."""
     document: Any = to_document(small_report())
     del document["axes"][0]["gaps"][:]
     document["axes"][0]["gaps"].append({"start_s": 1.0, "missing": 2})
@@ -337,7 +337,7 @@ def test_a_missing_key_is_named() -> None:
     ],
 )
 def test_load_refuses_other_files(tmp_path: Path, content: bytes | None, message: str) -> None:
-    """Whatever the file holds, the error is one message that names it."""
+    """The error is one message with the path, whatever the file contains."""
     file = tmp_path / "report.json"
     if content is not None:
         file.write_bytes(content)
@@ -347,7 +347,7 @@ def test_load_refuses_other_files(tmp_path: Path, content: bytes | None, message
 
 
 def test_every_truncation_is_refused_with_a_message(tmp_path: Path) -> None:
-    """A file that was cut anywhere never gives a report or a traceback of another kind."""
+    """A truncated file gives neither a report nor another exception."""
     text = dumps(to_document(small_report()))
     file = tmp_path / "report.json"
     for size in range(0, len(text) - 2, 997):
@@ -356,8 +356,8 @@ def test_every_truncation_is_refused_with_a_message(tmp_path: Path) -> None:
             load(file)
 
 
-def test_settings_may_hold_what_numpy_and_paths_are() -> None:
-    """Arrays, scalars, tuples and paths become plain JSON; anything else is a caller's mistake."""
+def test_settings_can_contain_numpy_values_and_paths() -> None:
+    """Arrays, scalars, tuples and paths become plain JSON; other objects are an error of the caller."""
     assert plain({"a": np.float64(1.5), "b": (1, 2), "p": Path("x/y"), "n": np.array([1.0, np.nan])}) == {
         "a": 1.5,
         "b": [1, 2],
@@ -379,7 +379,7 @@ def _set(
 
 
 def _skeleton(value: object) -> object:
-    """Return the document with every number but the integers taken out; keys in their order."""
+    """Return the document without its floating-point numbers; keys keep their order."""
     if isinstance(value, dict):
         return [(key, _skeleton(item)) for key, item in value.items()]
     if isinstance(value, list):
@@ -425,8 +425,8 @@ def _numbers(value: object) -> list[float]:
         ("findings", [3], "findings[0]: found 3, expected an object"),
     ],
 )
-def test_every_value_is_looked_at(place: str, value: object, said: str) -> None:
-    """What a hand or another tool may have written there."""
+def test_every_value_is_validated(place: str, value: object, said: str) -> None:
+    """A user or another program may have changed the file."""
     document: Any = to_document(small_report())
     _set(document, ("axes", 0, *place.split(".")), value)
     with pytest.raises(ReadError) as caught:
@@ -435,8 +435,8 @@ def test_every_value_is_looked_at(place: str, value: object, said: str) -> None:
     assert str(caught.value).startswith(f"report: axes[0].{place.partition('.')[0]}")
 
 
-def test_the_text_of_a_document_is_made_for_people() -> None:
-    """One key a line, plain values of a list on one line, signs as they are; no NaN ever."""
+def test_the_text_of_a_document_is_readable() -> None:
+    """It has one key per line, plain lists on one line, unescaped characters, and never NaN."""
     document = {"a": {"b": [1, 2.5, None], "c": {}}, "d": [], "e": [{"f": "°"}, {"g": [[1], [2]]}], "h": True}
     assert dumps(document) == (
         '{\n  "a": {\n    "b": [1, 2.5, null],\n    "c": {}\n  },\n  "d": [],\n'

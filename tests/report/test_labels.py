@@ -1,4 +1,4 @@
-"""Labels take the nearest free place, and their leaders cross nothing."""
+"""Labels use the nearest free place, and their leaders cross nothing."""
 
 import math
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ def _middle(box: _Box) -> tuple[float, float]:
 
 
 def test_boxes_that_touch_do_not_overlap() -> None:
-    """A box is within a frame that it touches, and holds no point on its edge."""
+    """A box may touch its frame, and a point on its edge is outside."""
     box = _Box(0, 0, 4, 2)
     for other in (_Box(4, 0, 8, 2), _Box(-4, 0, 0, 2), _Box(0, 2, 4, 4), _Box(0, -2, 4, 0)):
         assert not box.overlaps(other)
@@ -57,13 +57,13 @@ def test_boxes_that_touch_do_not_overlap() -> None:
     [(0, (13, 19, 17, 21)), (90, (8, 23, 12, 25)), (180, (3, 19, 7, 21)), (270, (8, 15, 12, 17))],
 )
 def test_a_label_is_next_to_its_point(angle: float, box: tuple[float, ...]) -> None:
-    """Its nearest edge is 3 away from the point (10, 20)."""
+    """Its nearest edge has the distance 3 from the point (10, 20)."""
     found = _box_near(_points((10, 20))[0], (4.0, 2.0), 3.0, math.radians(angle))
     npt.assert_allclose([found.x0, found.y0, found.x1, found.y1], box, atol=1e-12)
 
 
 def test_a_leader_ends_at_the_edge_of_its_box() -> None:
-    """Of 40 steps to the middle at 12, those that are inside the box, beyond 10, are left out."""
+    """There are 40 steps to the middle at 12; those inside the box, beyond 10, are removed."""
     leader = _leader(_points((0, 0))[0], _Box(10, -1, 14, 1))
     npt.assert_allclose(leader, [(12 * k / 39, 0) for k in range(33)], atol=1e-12)
     upward = _leader(_points((0, 0))[0], _Box(-1, 10, 1, 14))
@@ -77,28 +77,28 @@ def test_a_leader_ends_at_the_edge_of_its_box() -> None:
     [
         (((0, 0), (2, 2)), ((0, 2), (2, 0)), True),
         (((0, 0), (2, 2)), ((0, 1), (2, 3)), False),
-        # One would have to be longer.
+        # The lines would cross if one were longer.
         (((0, 0), (1, 0)), ((2, -1), (2, 1)), False),
         (((0, 0), (1, 2)), ((3, -5), (1, 1)), False),
-        # Two lines of one point part there.
+        # Two lines start at the same point.
         (((0, 0), (1, 1)), ((0, 0), (1, -1)), False),
         (((0, 0), (1, 1)), ((0, 0), (-1, 3)), False),
-        # A leader within its box has no point left.
+        # A leader inside its box has no points left.
         (((0, 0),), ((-1, 0), (1, 0.5)), False),
         ((), ((-1, 0), (1, 0)), False),
     ],
 )
-def test_lines_cross_where_they_do(
+def test_crossing_lines_are_detected(
     one: Sequence[Sequence[float]], other: Sequence[Sequence[float]], *, crosses: bool
 ) -> None:
-    """Only the ends count; leaders start at their points."""
+    """Only straight lines between the ends count; leaders start at their points."""
     first, second = _points(*one).reshape(-1, 2), _points(*other).reshape(-1, 2)
     assert _cross(first, second) is crosses
     assert _cross(second, first) is crosses
 
 
-def test_the_cost_of_a_place_is_the_sum_of_what_it_covers() -> None:
-    """A label 1000, the edge 10 000, a crossed leader 40, a point of a leader in a box 20, a line its own."""
+def test_the_cost_of_a_place_is_the_sum_of_its_overlaps() -> None:
+    """Label 1000, edge 10 000, crossed leader 40, leader point in a box 20, line its own cost."""
     anchor, box = _points((50, 50))[0], _Box(80, 45, 100, 55)
     room = _room()
     assert room._cost(anchor, box) == 0
@@ -109,7 +109,7 @@ def test_the_cost_of_a_place_is_the_sum_of_what_it_covers() -> None:
     assert room._cost(anchor, box) == 6 + 40
     room.taken.append(_Box(46, 46, 54, 54))
     assert room._cost(anchor, box) == 6 + 40, "the leader starts in the anchor's own box"
-    # The leader runs from 50 to 90 in 39 steps: two of its points lie between 60 and 62.
+    # The leader extends from 50 to 90 in 39 steps: two of its points lie between 60 and 62.
     room.taken.append(_Box(60, 49, 62, 51))
     assert room._cost(anchor, box) == 6 + 40 + 40
     room.taken += [_Box(90, 40, 95, 60), _Box(81, 40, 82, 60)]
@@ -117,8 +117,8 @@ def test_the_cost_of_a_place_is_the_sum_of_what_it_covers() -> None:
     assert room._cost(anchor, _Box(80, 45, 201, 55)) == 12_000
 
 
-def test_a_place_taken_is_kept_clear_of() -> None:
-    """The box with some room about it, and every point of its leader."""
+def test_a_used_place_is_kept_free() -> None:
+    """The place consists of the box with a margin, and of every point of its leader."""
     room = _Room(frame=_Box(0, 0, 200, 100), scale=2.0, points=[])
     room.take(_points((50, 50))[0], _Box(80, 45, 100, 55))
     assert room.taken == [_Box(75, 40, 105, 60)]
@@ -128,22 +128,22 @@ def test_a_place_taken_is_kept_clear_of() -> None:
     npt.assert_allclose(leader[0], [50, 50])
 
 
-def test_the_nearest_free_place_is_taken() -> None:
-    """Up and to the right first, then to the right and down; farther away where all near ones are taken."""
+def test_the_nearest_free_place_is_used() -> None:
+    """The order is up and right, then down and right. If near places are used, a farther one is chosen."""
     room, anchor = _room(), _points((100, 50))
     at, first = room.best(anchor, _SIZE)
     assert at.tolist() == [100, 50]
     assert first == _box_near(anchor[0], _SIZE, 7.0, math.radians(45))
     room.points.append((_points(_middle(first)), 1.0))
     assert room.best(anchor, _SIZE)[1] == _box_near(anchor[0], _SIZE, 7.0, math.radians(315))
-    # All that is nearer than 24 covers it.
+    # All places nearer than 24 cover this box.
     room.taken.append(_Box(*anchor[0], *anchor[0]).grown(20))
     _, far = room.best(anchor, _SIZE)
     assert far in [_box_near(anchor[0], _SIZE, 24.0, math.radians(angle)) for angle in range(360)]
 
 
-def test_a_line_is_labelled_where_it_is_free() -> None:
-    """Of its points the one beside which nothing lies; a line gives up after four distances."""
+def test_a_line_is_labelled_at_its_free_point() -> None:
+    """The label is next to the point without neighbours; the search stops after four distances."""
     room = _room()
     room.points.append((_points(*((x, y) for x in range(0, 120, 4) for y in range(0, 100, 4))), 5.0))
     at, box = room.best(_points((30, 50), (60, 50), (160, 50)), _SIZE)
@@ -152,8 +152,8 @@ def test_a_line_is_labelled_where_it_is_free() -> None:
 
 
 @pytest.mark.parametrize("free", [(10, 10), (190, 90), (12, 90)])
-def test_in_a_crowd_any_free_place_will_do(free: tuple[float, float]) -> None:
-    """Far from the point, with a long leader, if it is the only one; as near to its middle as the grid."""
+def test_a_single_free_place_is_found_in_a_crowd(free: tuple[float, float]) -> None:
+    """It can be far from the point, with a long leader. Its middle is found up to the grid."""
     room = _room()
     room.taken += [
         box
@@ -167,8 +167,8 @@ def test_in_a_crowd_any_free_place_will_do(free: tuple[float, float]) -> None:
     assert box.within(room.frame)
 
 
-def test_places_anywhere_fill_the_frame_and_cost_their_distance() -> None:
-    """From corner to corner; a place belongs to the nearest point and costs a thirtieth of a point's way."""
+def test_distant_places_cover_the_frame_and_cost_their_distance() -> None:
+    """A place belongs to the nearest point, and costs a thirtieth of the distance in points."""
     room = _Room(frame=_Box(10, 20, 210, 120), scale=2.0, points=[])
     anchors = _points((10, 20), (210, 120))
     places = list(room._anywhere(anchors, _SIZE))
@@ -181,8 +181,8 @@ def test_places_anywhere_fill_the_frame_and_cost_their_distance() -> None:
         assert at.tolist() == anchors[away.argmin()].tolist()
 
 
-def test_freedom_is_the_way_to_the_nearer_side() -> None:
-    """Of the point that has least."""
+def test_freedom_is_the_distance_to_the_nearer_side() -> None:
+    """The point with the smallest distance counts."""
     room = _Room(frame=_Box(10, 0, 110, 50), scale=1.0, points=[])
     assert room.freedom(_points((30, 20))) == 20
     assert room.freedom(_points((30, 20), (105, 20))) == 5
@@ -195,12 +195,12 @@ def _axes() -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def test_a_line_has_no_hole_for_a_label() -> None:
-    """A point at least every 4 pixels, in pixels, without what has no place on logarithmic axes."""
+def test_the_points_of_a_line_are_too_dense_for_a_label() -> None:
+    """There is a point at least every 4 pixels. Values without a place on logarithmic axes are removed."""
     _, axes = _axes()
     x, y = _points((1, 10, 10, -1, np.nan, 3), (1, 1, 100, 5, 5, 0))
     fine = _dense(axes, x, y)
-    # 360 pixels to the right, then 720 up.
+    # The line goes 360 pixels to the right, then 720 up.
     assert len(fine) == 270
     npt.assert_allclose(fine[[0, -1]], [(0, 0), (360, 720)], atol=1e-9)
     steps = np.hypot(*np.diff(fine, axis=0).T)
@@ -210,7 +210,7 @@ def test_a_line_has_no_hole_for_a_label() -> None:
 
 
 def test_labels_are_next_to_their_points() -> None:
-    """The mark nearest to a side first, lines last; offsets are in points, at any resolution."""
+    """The mark nearest to a side comes first, lines come last. Offsets are in points, at any resolution."""
     figure, axes = _axes()
 
     def label(text: str, *x: float) -> Label:
@@ -222,14 +222,15 @@ def test_labels_are_next_to_their_points() -> None:
     npt.assert_allclose([text.xy for text in written[:2]], [(1000, 10), (100, 10)])
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     for text in written[:2]:
-        # Above the mark: at 45 degrees the text would lie on it. 144 pixels an inch, 72 points.
+        # The label is above the mark, because at 45 degrees it would cover the line. There are 144 pixels and
+        # 72 points per inch.
         npt.assert_allclose(text.xyann, [0, 7 + Text.get_window_extent(text, renderer).height / 4], atol=1e-6)
     assert place_labels(axes, [], obstacles=[], fontsize=9.0) == []
 
 
 @pytest.mark.parametrize("side", ["left", "right", "bottom", "top"])
-def test_labels_keep_off_the_frame(side: str) -> None:
-    """By 2.5 points on each side, wherever the mark is; its box is asked of the text itself."""
+def test_labels_keep_a_distance_from_the_frame(side: str) -> None:
+    """The distance is 2.5 points on each side for any mark; the text itself gives its extent."""
     figure = Figure(figsize=(4, 3), dpi=144)
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_axes((0.1, 0.1, 0.8, 0.8))
@@ -243,6 +244,6 @@ def test_labels_keep_off_the_frame(side: str) -> None:
         written.update_positions(renderer)
         box = Text.get_window_extent(written, renderer)
         gaps = (box.x0 - frame.x0, frame.x1 - box.x1, box.y0 - frame.y0, frame.y1 - box.y1)
-        # A pixel for the rounding of text to whole ones.
+        # The tolerance of one pixel covers the rounding of text.
         assert min(gaps) > 2.5 * 2 - 1
         written.remove()

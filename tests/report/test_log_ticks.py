@@ -1,4 +1,4 @@
-"""Ticks of logarithmic axes, whatever the limits."""
+"""Ticks of logarithmic axes for any limits."""
 
 import math
 
@@ -23,13 +23,13 @@ from imucal.report.figure_style import draw_ticks, tick_label, tick_places
         (1e-12, "10⁻¹²"),
         (9000.0, "9000"),
         (0.009, "9×10⁻³"),
-        # What binary makes of a power of ten.
+        # The binary value of a power of ten.
         (0.01 * (1 - 1e-12), "0.01"),
         (1e5 * (1 - 1e-12), "10⁵"),
     ],
 )
-def test_labels_read_as_people_write_them(value: float, label: str) -> None:
-    """Plain from 0.01 to 1000, as a power of ten beyond."""
+def test_labels_have_the_usual_form(value: float, label: str) -> None:
+    """They are plain from 0.01 to 1000, and powers of ten otherwise."""
     assert tick_label(value) == label
 
 
@@ -49,7 +49,7 @@ def test_labels_read_as_people_write_them(value: float, label: str) -> None:
     ],
 )
 def test_ticks_are_few_and_round(low: float, high: float, major: list[float]) -> None:
-    """Decades, every third of them where there are many; 1, 2, 5 where there are few."""
+    """Ticks are decades, every third decade in a large range, and 1, 2, 5 in a small one."""
     assert tick_places(low, high)[0] == pytest.approx(major)
 
 
@@ -63,24 +63,27 @@ def test_ticks_are_few_and_round(low: float, high: float, major: list[float]) ->
     ],
 )
 def test_minor_ticks_fill_the_space(low: float, high: float, minor: list[float]) -> None:
-    """Every digit of a decade; the decades where not all have a label; none where every digit has one."""
+    """They are all digits of a decade, or decades if not all are labelled.
+
+    There are none if every digit is labelled.
+    """
     assert tick_places(low, high)[1] == pytest.approx(minor)
 
 
 @given(low=st.floats(1e-15, 1e12), factor=st.floats(1.05, 1e20))
-def test_ticks_lie_inside_and_rise(low: float, factor: float) -> None:
-    """At least two labels and at most ten; no two of them alike."""
+def test_ticks_increase_within_the_limits(low: float, factor: float) -> None:
+    """There are two to ten different labels."""
     high = low * factor
     major, minor = tick_places(low, high)
     assert 2 <= len(major) <= 10
     assert major == sorted(set(major))
-    # 1e-9 for the rounding of 10**e.
+    # The tolerance of 1e-9 allows for the rounding of 10**e.
     assert all(low * (1 - 1e-9) <= place <= high * (1 + 1e-9) for place in (*major, *minor))
     assert len({tick_label(place) for place in major}) == len(major)
 
 
 def test_minor_ticks_are_at_their_values_on_both_axes() -> None:
-    """The tick of 2 lies at log 2 of a decade, from the left edge up and from the foot up."""
+    """The tick of 2 is at log 2 of a decade, from the left edge and from the bottom."""
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
 

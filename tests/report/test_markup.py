@@ -1,4 +1,4 @@
-"""Templates: text of others can do no harm, and nothing is left out in silence."""
+"""Templates: text is escaped, and a missing value is an error."""
 
 import jinja2
 import pytest
@@ -8,12 +8,12 @@ from imucal.report.markup import both_units, render
 
 
 def _cells(text: str | None) -> str:
-    """Return a table whose one row is of a text."""
+    """Return a table with one row that contains a text."""
     return render("notebook.html", caption="", titles=(), rows=[(text, [text])])
 
 
 def test_text_is_escaped_and_markup_is_not() -> None:
-    """A tag in a name is text; so is a sign that turns text round."""
+    """A tag in a name is text, and characters that reverse text are replaced."""
     assert '<th scope="row">&lt;i&gt;</th>' in _cells("<i>")
     assert '<th scope="row"><i></th>' in _cells(Markup("<i>"))
     assert '<th scope="row">a\\u202eb</th>' in _cells("a\u202eb")
@@ -22,12 +22,11 @@ def test_text_is_escaped_and_markup_is_not() -> None:
     )
 
 
-def test_none_shows_as_nothing() -> None:
-    """An empty cell, not a word."""
+def test_none_is_an_empty_cell() -> None:
     assert '<th scope="row"></th>' in _cells(None)
 
 
-def test_a_value_that_nobody_gave_is_an_error() -> None:
-    """Not an empty place on the page."""
+def test_a_missing_value_is_an_error() -> None:
+    """An empty place on the page would go unnoticed."""
     with pytest.raises(jinja2.UndefinedError, match="'caption' is undefined"):
         render("notebook.html")

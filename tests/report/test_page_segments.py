@@ -1,4 +1,4 @@
-"""Segments in a report: its JSON and the way back, the page's picture, and who reads the wider intervals."""
+"""Segments in a report: JSON and reading back, the page's picture, and users of the wider intervals."""
 
 import json
 import re
@@ -49,14 +49,14 @@ def changing(report: Report, *, q: float = 90.0, floor: bool = True) -> Report:
 
 
 def figure(axis: AxisReport) -> str:
-    """Return the picture's SVG and caption, which must be there."""
+    """Return the picture's SVG and caption, which must exist."""
     found = segments_figure(axis)
     assert found is not None
     return found
 
 
-def test_document_fits_the_schema_and_comes_back() -> None:
-    """With a floor and without; factors, traces and times are the same after the way back."""
+def test_segments_are_valid_and_read_back() -> None:
+    """Factors, traces and times are equal with and without a floor."""
     for floor in (True, False):
         report = changing(small_report(), floor=floor)
         document = to_document(report)
@@ -75,8 +75,8 @@ def test_document_fits_the_schema_and_comes_back() -> None:
         assert again.axes[0].fit["N"].widening == report.axes[0].fit["N"].widening > 1
 
 
-def test_a_report_from_before_segments_is_read() -> None:
-    """Without the keys: no segments, nothing wider."""
+def test_a_report_without_segments_is_read() -> None:
+    """It has no segments and no wider intervals."""
     document = json.loads(dumps(to_document(small_report())))
     for axis in document["axes"]:
         del axis["fit"]["segments"]
@@ -88,7 +88,7 @@ def test_a_report_from_before_segments_is_read() -> None:
 
 
 def test_the_picture_has_a_bar_with_limits_for_each_segment_and_row() -> None:
-    """N and the floor; the band of the whole belongs to N; it is named for who can't see it."""
+    """Rows are N and the floor. N has the band of the complete log. The picture has an accessible name."""
     drawn = figure(changing(consumer_report()).axes[0])
     assert len(re.findall('class="value"', drawn)) == len(re.findall('class="limits"', drawn)) == 8
     assert len(re.findall('class="whole"', drawn)) == 1
@@ -101,8 +101,8 @@ def test_the_picture_has_a_bar_with_limits_for_each_segment_and_row() -> None:
     assert len(re.findall('class="value"', only)) == 4
 
 
-def test_higher_is_larger() -> None:
-    """The bars stand in the order of their values, all within the picture."""
+def test_bars_of_larger_values_are_higher() -> None:
+    """All bars are within the picture."""
     drawn = figure(changing(consumer_report(), floor=False).axes[0])
     heights = [float(y) for y in re.findall(r'class="value" x1="[\d.]+" y1="([\d.]+)"', drawn)]
     assert np.argsort(heights).tolist() == np.argsort(-_VALUES).tolist()
@@ -110,20 +110,19 @@ def test_higher_is_larger() -> None:
     assert 0 < min(heights) < max(heights) < height
 
 
-def test_a_stationary_axis_has_its_picture_and_no_word_of_change() -> None:
-    """Chance is not pointed at."""
+def test_the_picture_of_a_stationary_axis_reports_no_change() -> None:
+    """Random differences must not be highlighted."""
     assert "Changes between" not in figure(changing(consumer_report(), q=2.0).axes[0])
 
 
-def test_the_page_holds_the_picture_of_those_axes_that_have_segments() -> None:
-    """One here; none where there are none."""
+def test_the_page_contains_a_picture_for_axes_with_segments() -> None:
     page = render_page(changing(small_report()))
     assert page.count("over-time") - small_page().count("over-time") >= 1
     assert segments_figure(consumer_report().axes[0]) is None
 
 
-def test_compare_and_check_read_the_wider_interval() -> None:
-    """A difference of N that is significant for one process is none for a sensor that changes as much."""
+def test_compare_and_check_use_the_wider_interval() -> None:
+    """A difference of N is significant for a constant sensor, but not for one that changes equally much."""
     report = small_report()
     axis = report.axes[0]
     n = axis.fit["N"]
@@ -139,11 +138,11 @@ def test_compare_and_check_read_the_wider_interval() -> None:
 
 
 def test_the_last_time_is_not_cut_off() -> None:
-    """Text that ends beyond the picture would be: only that at the right side ends where it stands."""
+    """Only the text at the right edge is right-aligned, so the others must end within the picture."""
     svg = re.search(r'viewBox="0 0 (\d+) .*?</svg>', figure(changing(small_report()).axes[0]), re.DOTALL)
     assert svg is not None
     times = re.findall(r'<text x="([\d.]+)" y="[\d.]+" text-anchor="(middle|end)">(\d[^<]* h)</text>', svg[0])
     assert times[-1][2] == "4 h"
     assert [anchor for _, anchor, _ in times] == ["middle"] * (len(times) - 1) + ["end"]
-    # A character takes 7 units at most.
+    # A character is at most 7 units wide.
     assert all(float(x) + 3.5 * len(text) <= float(svg[1]) for x, anchor, text in times if anchor == "middle")

@@ -1,4 +1,4 @@
-"""The raw signal, small enough to draw."""
+"""The overview: the raw signal reduced to a size that can be drawn."""
 
 import numpy as np
 import numpy.testing as npt
@@ -16,15 +16,15 @@ _NAN = np.nan
     [
         (1, [6.5], [0], [9]),
         (3, [2, 6.5, 11], [0, 4, 6], [3, 5, 9]),
-        # The third of six lies in the gap.
+        # The third of six stretches is in the gap.
         (6, [1, 3, 5, 7.5, 10, 12], [0, 2, _NAN, 4, 6, 8], [1, 3, _NAN, 5, 7, 9]),
         (99, [k + 0.5 for k in range(13)], [0, 1, 2, 3, *[_NAN] * 3, 4, 5, 6, 7, 8, 9], None),
     ],
 )
-def test_an_overview_is_the_extremes_of_equal_stretches(
+def test_an_overview_contains_the_extremes_of_equal_stretches(
     stretches: int, time: list[float], low: list[float], high: list[float] | None
 ) -> None:
-    """Ten samples on thirteen places, from the fifth of the grid on, three of them a gap; at 10 Hz."""
+    """The log has ten samples at 10 Hz on thirteen places, starting at the fifth; three places are a gap."""
     segments = (Segment(start=0, stop=4, offset=5), Segment(start=4, stop=10, offset=12))
     clock = Clock(source="stamps", rate_hz=10.0, segments=segments)
     series = AxisSeries(sensor=Sensor.GYROSCOPE, axis="x", samples=np.arange(10.0), clock=clock)
@@ -34,8 +34,7 @@ def test_an_overview_is_the_extremes_of_equal_stretches(
     npt.assert_array_equal(overview.high, low if high is None else high)
 
 
-def test_an_overview_of_nothing_is_empty() -> None:
-    """No sample, no stretch."""
+def test_an_overview_without_samples_is_empty() -> None:
     clock = Clock(source="stamps", rate_hz=10.0, segments=())
     overview = Overview.of(AxisSeries(sensor=Sensor.GYROSCOPE, axis="x", samples=np.zeros(0), clock=clock))
     assert overview.time_s.size == overview.low.size == overview.high.size == 0

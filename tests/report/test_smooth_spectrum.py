@@ -1,4 +1,4 @@
-"""The spectrum as it is drawn: merged at low frequencies, unbiased on a slope, with honest limits."""
+"""The drawn spectrum: merged at low frequencies, unbiased on slopes, with correct coverage."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ RATE = 200.0
 
 
 def axis_with(text: str, count: np.ndarray, rng: np.random.Generator | None) -> AxisReport:
-    """Return an axis whose spectrum is chi-squared about a model, or is the model itself."""
+    """Return an axis whose spectrum is chi-squared around a model, or equals the model."""
     axis = consumer_report().axes[0]
     model = NoiseModel.parse(text)
     frequency = np.cumsum(count) * RATE / (4 * np.sum(count))
@@ -31,8 +31,8 @@ def axis_with(text: str, count: np.ndarray, rng: np.random.Generator | None) -> 
 COUNT = np.concatenate([np.ones(40), np.full(20, 5.0), np.full(30, 40.0)])
 
 
-def test_the_model_comes_back_whatever_its_slope() -> None:
-    """Merging a steep density makes it neither higher nor lower: it is the model where it is drawn."""
+def test_smoothing_a_model_of_any_slope_gives_the_model() -> None:
+    """Merging ordinates of a steep density must not introduce a bias."""
     for text in ("N=1e-4", "N=1e-6 + K=1e-4", "Q=1e-4"):
         axis = axis_with(text, COUNT, None)
         smooth = smooth_spectrum(axis)
@@ -41,10 +41,14 @@ def test_the_model_comes_back_whatever_its_slope() -> None:
         assert np.all(np.diff(smooth.frequency) > 0)
 
 
-def test_no_point_is_a_single_ordinate() -> None:
-    """Six ordinates first, then twelve at least; wide bins stay as they are; a rest joins the last."""
+def test_every_point_averages_several_ordinates() -> None:
+    """The first point has six ordinates, others at least twelve; wide bins do not change.
+
+    The remaining ordinates join the last point.
+    """
     smooth = smooth_spectrum(axis_with("N=1e-4", COUNT, None))
-    # 40 single ones: 6, then twice 12, then 10 with the first of five; 19 more of five in threes.
+    # Of 40 single ordinates: 6, then twice 12, then 10 with the first bin of five. The other 19 bins are
+    # merged in threes.
     assert smooth.frequency.size == 1 + 2 + 1 + 6 + 30
     few = smooth_spectrum(axis_with("N=1e-4", np.ones(8), None))
     assert few.frequency.size == 1
@@ -52,8 +56,8 @@ def test_no_point_is_a_single_ordinate() -> None:
 
 
 @pytest.mark.parametrize("text", ["N=1e-4", "N=1e-6 + K=1e-4"])
-def test_the_limits_hold_the_truth(text: str) -> None:
-    """In 95 % of points, over 60 records."""
+def test_the_limits_contain_the_truth(text: str) -> None:
+    """The coverage is 95 % of points, over 60 records."""
     inside, total = 0, 0
     for seed in range(60):
         axis = axis_with(text, COUNT, np.random.default_rng([seed, 71]))
@@ -66,7 +70,7 @@ def test_the_limits_hold_the_truth(text: str) -> None:
 
 
 def test_without_a_model_the_density_itself_is_averaged() -> None:
-    """And without samples there is nothing."""
+    """Without samples the result is empty."""
     axis = axis_with("N=1e-4", np.ones(12), None)
     bare = replace(axis, fit=replace(axis.fit, model=NoiseModel(terms=())))
     np.testing.assert_allclose(smooth_spectrum(bare).root, 1e-4)

@@ -1,4 +1,4 @@
-"""Bins in report.json: there where they were asked for, and read back exactly."""
+"""Bins in report.json: written on request, and read back exactly."""
 
 import copy
 import json
@@ -31,8 +31,8 @@ def _report(*, bins: bool) -> Report:
     return replace(report, axes=(axis,), settings=settings)
 
 
-def test_bins_come_back_without_losing_a_digit() -> None:
-    """And the document is what the schema says."""
+def test_bins_are_read_back_with_all_digits() -> None:
+    """The document is valid by the schema."""
     report = _report(bins=True)
     text = dumps(to_document(report))
     jsonschema.Draft202012Validator(schema()).validate(json.loads(text))
@@ -58,8 +58,8 @@ def test_bins_come_back_without_losing_a_digit() -> None:
         assert np.array_equal(getattr(ours, name), getattr(theirs, name)), name
 
 
-def test_bins_are_left_out_unless_asked_for() -> None:
-    """They are most of such a file."""
+def test_bins_are_written_only_on_request() -> None:
+    """They would be the largest part of the file."""
     document: Any = to_document(_report(bins=False))
     assert "bins" not in document["axes"][0]["fit"]
 
@@ -75,8 +75,8 @@ def test_bins_are_left_out_unless_asked_for() -> None:
         ("tau0_s", 0, r"bins.tau0_s: found 0"),
     ],
 )
-def test_bins_that_do_not_belong_together_are_refused(key: str, value: object, text: str) -> None:
-    """With the place, what was found and what was expected."""
+def test_inconsistent_bins_are_refused(key: str, value: object, text: str) -> None:
+    """The error contains the place, the content and the expected form."""
     document: Any = copy.deepcopy(to_document(_report(bins=True)))
     document["axes"][0]["fit"]["bins"][key] = value
     with pytest.raises(ReadError, match=text):
@@ -84,8 +84,8 @@ def test_bins_that_do_not_belong_together_are_refused(key: str, value: object, t
 
 
 @pytest.mark.usefixtures("pictures_are_blank")
-def test_reports_written_with_bins_are_pooled(tmp_path: Path) -> None:
-    """What the message says to type: `imucal fit --bins`, twice, then the pool of what was read back."""
+def test_reports_with_bins_can_be_pooled(tmp_path: Path) -> None:
+    """The test follows the advice in the error: run `imucal fit --bins` twice and pool the reports."""
     fits = []
     for name, flags in (("one", ["--bins"]), ("two", ["--bins"]), ("three", [])):
         log, out = tmp_path / f"{name}.csv", tmp_path / name

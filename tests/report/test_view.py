@@ -1,4 +1,4 @@
-"""The one view: every term of every axis is in the rows, and whatever draws them draws every report."""
+"""Rows of results: every term of every axis has its cells, and every output shows every row."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -25,13 +25,13 @@ _LETTERS: tuple[Axis, ...] = ("x", "y", "z")
 
 
 def _page(report: Report) -> html.HtmlElement:
-    """Return the parsed page without pictures, which take the time."""
+    """Return the parsed page without pictures, which are slow."""
     return html.document_fromstring(render_page(report, drawings=Drawings()))
 
 
 @pytest.mark.parametrize(("symbol", "state"), list(product(TERMS, STATES)))
 def test_a_page_has_every_term_in_every_state(symbol: str, state: str) -> None:
-    """On one to six axes of one sensor or both, by turns the first and the last of them.
+    """Reports have one to six axes of one or both sensors; the first or the last axis has the state.
 
     Terminal and page have the same rows.
     """
@@ -54,16 +54,16 @@ def test_a_page_has_every_term_in_every_state(symbol: str, state: str) -> None:
 
 
 @pytest.mark.slow
-def test_random_reports_lose_no_page() -> None:
-    """Forty here; the script beside this draws as many as wanted, with pictures."""
+def test_random_reports_have_a_page() -> None:
+    """The test uses forty reports; the script `random_reports` draws any number, with pictures."""
     rng = np.random.default_rng(2711)
     for _ in range(40):
         report = random_report(rng)
         assert len(_page(report).xpath("//table[@class='summary']")) == len(report.by_sensor)
 
 
-def test_rows_hold_both_conventions() -> None:
-    """N of gyro x is 1.2e-4 rad/s/√Hz; a term that only z has is None elsewhere; bounds have no interval."""
+def test_rows_contain_both_units() -> None:
+    """N of gyro x is 1.2e-4 rad/s/√Hz. A term of z alone is None for other axes; bounds have no interval."""
     seen = views(consumer_report())[0]
     rows = {row.key: row for row in seen.rows}
     assert list(rows) == ["N", "B", "GM1", "GM1 T", "GM2", "GM2 T", "K", "minimum"]
@@ -77,7 +77,7 @@ def test_rows_hold_both_conventions() -> None:
 
 
 def test_a_fit_of_an_unknown_sensor_has_a_view() -> None:
-    """A curve of another tool: its unit is that of its numbers, whatever it is."""
+    """A curve of another tool has the unit of its numbers, whatever that is."""
     fit = replace(consumer_report().axes[0].fit, sensor=None)
     seen = view({"curve": fit})
     assert {cell.si.unit for row in seen.rows for cell in row.cells if cell} == {""}
@@ -85,7 +85,7 @@ def test_a_fit_of_an_unknown_sensor_has_a_view() -> None:
 
 
 def test_a_new_row_is_shown_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A row of means, above the minimum: on the terminal, page and picture, in the notebook and the frame."""
+    """The added row of means appears on terminal, page, picture, notebook and data frame."""
 
     def means(subjects: Sequence[Subject], _: SheetUnits) -> Iterator[Row]:
         quantities = [

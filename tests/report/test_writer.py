@@ -1,4 +1,4 @@
-"""The report folder: complete or untouched, whatever goes wrong on the way."""
+"""The report folder is complete or unchanged after any error."""
 
 import errno
 import json
@@ -28,7 +28,7 @@ _FILES = ["gyro_x.json", "report.json", "signal.json"]
 
 @pytest.fixture
 def old(tmp_path: Path) -> Path:
-    """Return a report folder of an earlier version, with a stale picture and a note of the user's."""
+    """Return a report folder of an earlier version, with a stale picture and a note of the user."""
     out = tmp_path / "out"
     write_report(replace(small_report(), version="0.0.1"), out, formats=(), html=False)
     (out / "accel_z.png").write_bytes(b"stale")
@@ -38,7 +38,7 @@ def old(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def weak_user() -> Iterator[Path]:
-    """Yield a folder that may not be written to; as root, give up root's rights for the test."""
+    """Yield a folder without write permission; if the user is root, drop root's rights for the test."""
     folder = Path(tempfile.mkdtemp())
     folder.chmod(0o555)
     root = os.geteuid() == 0
@@ -52,8 +52,8 @@ def weak_user() -> Iterator[Path]:
         shutil.rmtree(folder)
 
 
-def test_the_folder_has_the_designed_files(tmp_path: Path) -> None:
-    """One JSON and one picture an axis, one overview a sensor, the page; report.json comes first."""
+def test_the_folder_contains_all_files_of_a_report(tmp_path: Path) -> None:
+    """It has a JSON and a picture per axis, an overview per sensor and the page; report.json comes first."""
     report = consumer_report()
     report = replace(report, axes=report.axes[2:4])
     files = write_report(report, tmp_path / "deep" / "out")
@@ -76,8 +76,7 @@ def test_the_folder_has_the_designed_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("form", "start"), [("svg", b"<?xml"), ("pdf", b"%PDF"), ("png", b"\x89PNG")])
-def test_pictures_come_in_every_format(tmp_path: Path, form: str, start: bytes) -> None:
-    """SVG and PDF on request; each file is of its kind."""
+def test_pictures_are_written_in_every_format(tmp_path: Path, form: str, start: bytes) -> None:
     files = write_report(small_report(), tmp_path / "out", formats=(form,), html=False)
     pictures = [f"gyro_x.{form}", f"gyro.{form}"]
     assert [path.name for path in files] == ["report.json", "signal.json", "gyro_x.json", *pictures]
@@ -85,14 +84,14 @@ def test_pictures_come_in_every_format(tmp_path: Path, form: str, start: bytes) 
 
 
 def test_the_same_report_gives_the_same_bytes(tmp_path: Path) -> None:
-    """No date, no random name: two runs can be compared with diff."""
+    """Files contain no date and no random name, so that runs can be compared with diff."""
     one = write_report(small_report(), tmp_path / "one")
     other = write_report(small_report(), tmp_path / "other")
     assert [path.read_bytes() for path in one] == [path.read_bytes() for path in other]
 
 
-def test_files_have_the_rights_of_the_umask(tmp_path: Path) -> None:
-    """A scratch folder is private; a report is not."""
+def test_files_have_the_permissions_of_the_umask(tmp_path: Path) -> None:
+    """The scratch folder is private, the report is not."""
     out = write_report(small_report(), tmp_path / "out", formats=(), html=False)[0].parent
     plain = tmp_path / "plain"
     plain.mkdir()
@@ -100,14 +99,14 @@ def test_files_have_the_rights_of_the_umask(tmp_path: Path) -> None:
 
 
 def test_an_old_report_is_replaced_and_other_files_are_kept(old: Path) -> None:
-    """Stale pictures go, notes stay."""
+    """Stale pictures are removed, and notes of the user are kept."""
     write_report(small_report(), old, formats=(), html=False)
     assert _names(old) == ["gyro_x.json", "notes.txt", "report.json", "signal.json"]
     assert json_file.load(old).version == "0.1.0"
 
 
-def test_an_empty_folder_is_taken(tmp_path: Path) -> None:
-    """Such as a mounted volume, whose parent can't be written to."""
+def test_an_empty_folder_is_used(tmp_path: Path) -> None:
+    """It can be a mounted volume with a read-only parent."""
     write_report(small_report(), tmp_path, formats=(), html=False)
     assert _names(tmp_path) == _FILES
 
@@ -133,8 +132,8 @@ def test_an_empty_folder_is_taken(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_foreign_folder_is_left_alone(tmp_path: Path, names: list[str], message: str) -> None:
-    """Even where its files have names like ours: only a report.json of ours makes a folder ours."""
+def test_a_foreign_folder_is_not_changed(tmp_path: Path, names: list[str], message: str) -> None:
+    """Only a report.json of imucal identifies a report folder, not the names of the files."""
     for name in names:
         (tmp_path / name).write_text('{"schema": "other"}', encoding="utf-8")
     with pytest.raises(WriteError) as caught:
@@ -143,8 +142,8 @@ def test_a_foreign_folder_is_left_alone(tmp_path: Path, names: list[str], messag
     assert _names(tmp_path) == sorted(names)
 
 
-def test_a_file_in_the_place_of_the_folder_is_left_alone(tmp_path: Path) -> None:
-    """The message says what to do."""
+def test_a_file_with_the_name_of_the_folder_is_not_changed(tmp_path: Path) -> None:
+    """The error explains what to do."""
     out = tmp_path / "out"
     out.write_text("mine", encoding="utf-8")
     with pytest.raises(WriteError) as caught:
@@ -155,8 +154,8 @@ def test_a_file_in_the_place_of_the_folder_is_left_alone(tmp_path: Path) -> None
     assert out.read_text(encoding="utf-8") == "mine"
 
 
-def test_a_folder_in_the_place_of_a_file_is_left_alone(old: Path) -> None:
-    """Nothing is replaced before the obstacle is found."""
+def test_a_folder_with_the_name_of_a_file_stops_the_write(old: Path) -> None:
+    """The obstacle is found before any file is replaced."""
     (old / "gyro_x.png").mkdir()
     before = _contents(old)
     with pytest.raises(WriteError, match=re.escape(f"{old / 'gyro_x.png'}: is a folder, expected a file")):
@@ -164,15 +163,15 @@ def test_a_folder_in_the_place_of_a_file_is_left_alone(old: Path) -> None:
     assert _contents(old) == before
 
 
-def test_an_unknown_format_is_a_mistake_of_the_caller(tmp_path: Path) -> None:
-    """Before anything is written."""
+def test_an_unknown_picture_format_is_an_error(tmp_path: Path) -> None:
+    """It is raised before anything is written."""
     with pytest.raises(ValueError, match="format 'gif' is not one of png, svg, pdf"):
         write_report(small_report(), tmp_path / "out", formats=("gif",))
     assert _names(tmp_path) == []
 
 
-def test_a_read_only_place_is_a_message(weak_user: Path) -> None:
-    """Exit code 5, advice, nothing left behind."""
+def test_a_read_only_folder_is_an_error_with_advice(weak_user: Path) -> None:
+    """The exit code is 5, and nothing is left behind."""
     with pytest.raises(WriteError) as caught:
         write_report(small_report(), weak_user / "out", formats=(), html=False)
     assert str(caught.value) == (
@@ -184,8 +183,8 @@ def test_a_read_only_place_is_a_message(weak_user: Path) -> None:
 
 
 @pytest.mark.parametrize("failing", range(2))
-def test_a_full_disk_changes_nothing(old: Path, monkeypatch: pytest.MonkeyPatch, failing: int) -> None:
-    """Whichever file no longer fits, the old report stands as it was."""
+def test_a_full_disk_leaves_the_old_report(old: Path, monkeypatch: pytest.MonkeyPatch, failing: int) -> None:
+    """It does not matter which file no longer fits."""
     before = _contents(old)
     calls = iter(range(100))
 
@@ -202,8 +201,8 @@ def test_a_full_disk_changes_nothing(old: Path, monkeypatch: pytest.MonkeyPatch,
     assert _contents(old) == before
 
 
-def test_a_write_that_stops_half_way_changes_nothing(old: Path) -> None:
-    """The kernel itself cuts the file at a limit: what was written of it is gone again."""
+def test_an_incomplete_write_leaves_the_old_report(old: Path) -> None:
+    """The kernel cuts the file at a size limit, and the incomplete file is removed."""
     before = _contents(old)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
@@ -216,8 +215,8 @@ def test_a_write_that_stops_half_way_changes_nothing(old: Path) -> None:
 
 
 @pytest.mark.parametrize("existing", [False, True])
-def test_ctrl_c_changes_nothing(old: Path, monkeypatch: pytest.MonkeyPatch, *, existing: bool) -> None:
-    """It comes through as KeyboardInterrupt, and leaves no scratch folder."""
+def test_ctrl_c_leaves_the_old_report(old: Path, monkeypatch: pytest.MonkeyPatch, *, existing: bool) -> None:
+    """KeyboardInterrupt is raised, and no scratch folder is left."""
     out = old if existing else old.parent / "new"
     before = _contents(old.parent)
 
@@ -231,8 +230,11 @@ def test_ctrl_c_changes_nothing(old: Path, monkeypatch: pytest.MonkeyPatch, *, e
 
 
 @pytest.mark.parametrize("moved", [0, 1, 2, 3, 4])
-def test_killed_between_files_leaves_only_whole_files(old: Path, moved: int) -> None:
-    """No handler runs on SIGKILL: report.json is old, new, or says so, and the next run succeeds."""
+def test_a_kill_between_files_leaves_only_complete_files(old: Path, moved: int) -> None:
+    """No handler runs on SIGKILL.
+
+    The report.json is old, new, or marks the folder as incomplete, and the next run succeeds.
+    """
     before = _contents(old)
     _run_and_die(old, moved)
     content = (old / "gyro_x.json").read_bytes()
@@ -252,8 +254,8 @@ def test_killed_between_files_leaves_only_whole_files(old: Path, moved: int) -> 
 
 
 @pytest.mark.parametrize("existing", [False, True])
-def test_two_runs_into_one_folder_leave_one_report(tmp_path: Path, *, existing: bool) -> None:
-    """All files are of the same run, whichever was the last."""
+def test_simultaneous_runs_leave_one_consistent_report(tmp_path: Path, *, existing: bool) -> None:
+    """All files are from the same run, whichever was last."""
     out = tmp_path / "out"
     if existing:
         write_report(small_report(), out, formats=(), html=False)
@@ -268,8 +270,8 @@ def test_two_runs_into_one_folder_leave_one_report(tmp_path: Path, *, existing: 
     assert _names(tmp_path) == ["out"]
 
 
-def test_killed_before_the_first_report_leaves_no_folder(tmp_path: Path) -> None:
-    """A new folder appears in one step, so that half a report can't be taken for a whole one."""
+def test_a_kill_during_the_first_report_leaves_no_folder(tmp_path: Path) -> None:
+    """A new folder appears in one step, so that half a report can't be mistaken for a complete one."""
     out = tmp_path / "out"
     _run_and_die(out, 0)
     assert not out.exists()
@@ -278,8 +280,8 @@ def test_killed_before_the_first_report_leaves_no_folder(tmp_path: Path) -> None
     assert _names(tmp_path) == ["out"]
 
 
-def test_a_scratch_folder_in_use_is_left_alone(tmp_path: Path) -> None:
-    """Two runs at the same time don't remove each other's files."""
+def test_a_scratch_folder_in_use_is_not_removed(tmp_path: Path) -> None:
+    """Simultaneous runs must not remove each other's files."""
     scratch = tmp_path / ".imucal-0123.tmp"
     scratch.mkdir()
     write_report(small_report(), tmp_path / "out", formats=(), html=False)
@@ -287,7 +289,7 @@ def test_a_scratch_folder_in_use_is_left_alone(tmp_path: Path) -> None:
 
 
 def test_a_failed_move_reports_the_remaining_files(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Past the point of no return the message no longer says that nothing changed."""
+    """After the first move, the error must no longer claim that nothing changed."""
     move = Path.replace
 
     def failing(self: Path, target: Path) -> Path:
@@ -305,7 +307,7 @@ def test_a_failed_move_reports_the_remaining_files(old: Path, monkeypatch: pytes
 
 
 def _run_and_die(out: Path, moved: int) -> None:
-    """Write a report in another process that kills itself after so many files were moved."""
+    """Write a report in another process that kills itself after `moved` files were moved."""
     code = f"""
         import os, signal
         from pathlib import Path
