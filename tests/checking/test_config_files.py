@@ -97,7 +97,7 @@ SLIPS: dict[str, tuple[Callable[[float], float], str, tuple[Sensor, ...]]] = {
 )
 def test_each_mistake_is_reported_with_a_fix(slip: str, sensor: Sensor, symbol: str, tmp_path: Path) -> None:
     """The row of the changed key reports it; the file passes with the proposed lines."""
-    make, said, _ = SLIPS[slip]
+    make, mistake, _ = SLIPS[slip]
     right = read_back(tmp_path, render(PAIR, "kalibr"))
     numbers = {key: row.measured.value for key, row in right.items() if row.measured is not None}
     key = f"{sensor}_{'noise_density' if symbol == 'N' else 'random_walk'}"
@@ -106,7 +106,7 @@ def test_each_mistake_is_reported_with_a_fix(slip: str, sensor: Sensor, symbol: 
     rows = read_back(tmp_path, text)
     # Users sometimes inflate numbers ten times on purpose.
     assert rows[key].verdict == ("undecided" if slip == "g twice" else "fail")
-    assert re.search(said, rows[key].text), rows[key].text
+    assert re.search(mistake, rows[key].text), rows[key].text
     assert rows[key].text.startswith(f"{sensor.short}: imu.cfg:{list(numbers).index(key) + 1}: {key} is ")
     mended = "".join(f"{rows[name].instead or f'{name}: {value!r}'}\n" for name, value in numbers.items())
     assert {row.verdict for row in read_back(tmp_path, mended).values()} == {"pass"}
@@ -115,7 +115,7 @@ def test_each_mistake_is_reported_with_a_fix(slip: str, sensor: Sensor, symbol: 
 @pytest.mark.parametrize("name", READ)
 def test_a_wrong_factor_of_the_rate_is_reported_in_every_format(name: str, tmp_path: Path) -> None:
     """The factor is the square root of the rate, in both directions and in the formula of each format."""
-    for by, said in ((ROOT, "large: by sqrt(f)"), (1 / ROOT, "small: by sqrt(f)")):
+    for by, mistake in ((ROOT, "large: by sqrt(f)"), (1 / ROOT, "small: by sqrt(f)")):
         numbers = {
             key.name.format(i=1, axis="y"): key.formula.of(
                 by * (N if key.symbol == "N" else K)[key.sensor], RATE_HZ
@@ -126,7 +126,7 @@ def test_a_wrong_factor_of_the_rate_is_reported_in_every_format(name: str, tmp_p
         assert rows.keys() == numbers.keys()
         for row in rows.values():
             assert row.verdict == "fail"
-            assert said in row.text or "the continuous density" in row.text, row.text
+            assert mistake in row.text or "the continuous density" in row.text, row.text
 
 
 def test_the_number_of_another_term_is_reported(tmp_path: Path) -> None:

@@ -15,9 +15,9 @@ from pymavlink.mavparm import MAVParmDict
 def main() -> None:
     """Print the parameters read by MAVParmDict.load, which `param load` of MAVProxy calls."""
     parameters = MAVParmDict()
-    with contextlib.redirect_stdout(io.StringIO()) as said:
+    with contextlib.redirect_stdout(io.StringIO()) as output:
         parameters.load(sys.argv[1])
-    invalid = sum("Invalid line" in line for line in said.getvalue().splitlines())
+    invalid = sum("Invalid line" in line for line in output.getvalue().splitlines())
     found = {"version": version("pymavlink"), "parameters": dict(parameters), "invalid_lines": invalid}
     sys.stdout.write(json.dumps(found) + "\n")
 

@@ -73,10 +73,13 @@ def test_standard_input_has_size_and_checksum(packed: str, tmp_path: Path) -> No
     """The checksum covers all bytes as received, compressed or not, even if reading ends early."""
     values = np.random.default_rng(5).normal(0, 1e-3, 3000).tolist()
     text = "\n".join(["t_s,gx_rads", *(f"{i / 100},{x!r}" for i, x in enumerate(values)), ""]).encode()
-    whole = gzip.compress(text)
-    data = {"plain": text, "gzip": whole, "cut": whole[:-40], "zeros behind": whole + bytes(99) + b"1"}[
-        packed
-    ]
+    compressed = gzip.compress(text)
+    data = {
+        "plain": text,
+        "gzip": compressed,
+        "cut": compressed[:-40],
+        "zeros behind": compressed + bytes(99) + b"1",
+    }[packed]
     done = run("fit", "-", *QUICK, cwd=tmp_path, text=data)
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)

@@ -109,7 +109,7 @@ def test_a_folder_without_logs_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("file", "said"),
+    ("file", "message"),
     [
         (
             "report.json",
@@ -118,13 +118,13 @@ def test_a_folder_without_logs_is_refused(tmp_path: Path) -> None:
         ("manifest.parquet", "is a fleet of imucal; give a log, or run 'imucal fleet report'"),
     ],
 )
-def test_a_folder_written_by_imucal_is_recognised(file: str, said: str, tmp_path: Path) -> None:
+def test_a_folder_written_by_imucal_is_recognised(file: str, message: str, tmp_path: Path) -> None:
     """The error explains which command reads such a folder."""
     (tmp_path / file).write_text('{"schema": "imucal/report/2"}', encoding="utf-8")
-    with pytest.raises(ReadError, match=f"{tmp_path}: {said}"):
+    with pytest.raises(ReadError, match=f"{tmp_path}: {message}"):
         read(tmp_path)
     if file == "report.json":
-        with pytest.raises(ReadError, match=f"it {said}"):
+        with pytest.raises(ReadError, match=f"it {message}"):
             read(tmp_path / file)
 
 

@@ -38,13 +38,13 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
 
 def missing(entry: Format, written: set[str]) -> list[str]:
     """Return a sentence for each part that a format lacks."""
-    said = [*_missing_in_table(entry), *_missing_in_module(entry)]
+    sentences = [*_missing_in_table(entry), *_missing_in_module(entry)]
     rows = re.findall(r"^\| ([^|]+) \|", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
     if not any(re.search(rf"\b{re.escape(entry.name)}\b", row, re.IGNORECASE) for row in rows):
-        said.append("README.md has no row for it in its table of formats.")
+        sentences.append("README.md has no row for it in its table of formats.")
     if entry.messages and entry.name not in written:
-        said.append("tests/readers/logs.py has no writer of such a log in CONTAINERS.")
-    return [f"{entry.name}: {sentence}" for sentence in said]
+        sentences.append("tests/readers/logs.py has no writer of such a log in CONTAINERS.")
+    return [f"{entry.name}: {sentence}" for sentence in sentences]
 
 
 def _missing_in_table(entry: Format) -> Iterator[str]:

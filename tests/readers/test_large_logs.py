@@ -46,14 +46,14 @@ def test_the_head_describes_a_large_compressed_text(
     else:
         with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr("log.csv", table())
-    whole = describe(path)
-    assert whole.topics[0].count == 3000
-    assert whole.topics[0].rate_hz == pytest.approx(100)
+    complete = describe(path)
+    assert complete.topics[0].count == 3000
+    assert complete.topics[0].rate_hz == pytest.approx(100)
     monkeypatch.setattr(text_table, "_SMALL", 300_000)
     part = describe(path)
     assert (part.topics[0].count, part.duration_s) == (None, None)
     assert part.topics[0].rate_hz == pytest.approx(100)
-    assert part.topics[0].sensors == whole.topics[0].sensors
+    assert part.topics[0].sensors == complete.topics[0].sensors
     assert part.unpacked_bytes is not None
     assert part.unpacked_bytes > 300_000
     assert read(path).series[0].n == 3000

@@ -93,11 +93,11 @@ def test_a_damaged_table_is_read_or_refused_with_a_message(
     part: int,
 ) -> None:
     """The error names the file, nothing is printed, and reading ends."""
-    whole = tmp_path / name
-    FORMATS[name](whole)
-    original = whole.read_bytes()
+    undamaged = tmp_path / name
+    FORMATS[name](undamaged)
+    original = undamaged.read_bytes()
     options = OPTIONS if name == "plain.npy" else {}
-    assert len(read(whole, **options).series) == 6
+    assert len(read(undamaged, **options).series) == 6
     for case in range(part, CASES, PARTS):
         rng = np.random.default_rng([case, zlib.crc32(name.encode()), CHANGES.index(change)])
         data = bytearray(original)

@@ -151,11 +151,11 @@ NAMED: dict[str, tuple[bytes, str]] = {
 
 @pytest.mark.parametrize("name", NAMED)
 def test_the_error_for_a_foreign_format_contains_a_solution(name: str, tmp_path: Path) -> None:
-    start, said = NAMED[name]
+    start, text = NAMED[name]
     path = tmp_path / name
     path.write_bytes(start + bytes(range(256)) * 8)
-    assert re.search(said, refused(path))
-    with pytest.raises(ReadError, match=said):
+    assert re.search(text, refused(path))
+    with pytest.raises(ReadError, match=text):
         describe(path)
 
 

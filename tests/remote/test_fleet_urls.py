@@ -59,13 +59,13 @@ def test_signed_urls_of_a_list_leave_no_query(web: WebServer, tmp_path: Path) ->
     assert sorted(logs["status"]) == ["ok", "ok", "unreadable"]
     reasons = [reason for reason in logs["reason"] if reason]
     assert reasons == [f"{urls[2]}: there is no such object (404); check the address"]
-    said = [
+    outputs = [
         done.stdout,
         done.stderr,
         *(str(frame.rows()) for frame in (store.manifest(), logs, store.results())),
     ]
-    said += [path.read_text("latin-1") for path in (tmp_path / "fleet").rglob("*") if path.is_file()]
-    assert not any("SECRET" in text for text in said)
+    outputs += [path.read_text("latin-1") for path in (tmp_path / "fleet").rglob("*") if path.is_file()]
+    assert not any("SECRET" in text for text in outputs)
     twice = run("fleet", "run", f"{urls[0]}?id=1", f"{urls[0]}?id=2", *HOW, cwd=tmp_path)
     assert (twice.returncode, "differ only after the question mark" in twice.stderr) == (2, True)
 

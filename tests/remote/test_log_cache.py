@@ -109,8 +109,8 @@ def test_two_processes_download_once(web: WebServer, cache: Path) -> None:
     """The second process waits for the lock of the first."""
     url = web.add("/a", BODY, delay_s=0.2)
     running = [start(url) for _ in range(2)]
-    said = [process.communicate(timeout=60) for process in running]
-    assert said == [(f"{len(BODY)}\n", "")] * 2
+    outputs = [process.communicate(timeout=60) for process in running]
+    assert outputs == [(f"{len(BODY)}\n", "")] * 2
     assert [part for _, part, _ in web.asked].count("") == 1
     assert copies(cache) == ["a"]
 
@@ -145,10 +145,10 @@ def test_a_full_disk_is_reported_before_the_download(
     with fetched(web.add("/new", BODY * 2 + BODY[: len(BODY) // 2])):
         assert copies(cache) == ["new"]
     url = web.add("/newer", BODY * 4)
-    said = (
+    message = (
         r"no space for a remote log of 0\.00041 GB: 0\.0171 GB are free; free some space, or set IMUCAL_CACHE"
     )
-    with pytest.raises(imucal.ReadError, match=said) as error:
+    with pytest.raises(imucal.ReadError, match=message) as error:
         imucal.read(url)
     assert error.value.exit_code == 3
 
@@ -190,10 +190,10 @@ def test_the_environment_sets_folder_and_size_of_the_cache(
     assert error.value.exit_code == 2
     (tmp_path / "file").write_text("", encoding="utf-8")
     monkeypatch.setenv("IMUCAL_CACHE", str(tmp_path / "file"))
-    said = (
+    message = (
         "file: the cache of remote logs can't be used: File exists; set IMUCAL_CACHE to a folder that you own"
     )
-    with pytest.raises(imucal.ReadError, match=said):
+    with pytest.raises(imucal.ReadError, match=message):
         cache_folder()
 
 

@@ -98,16 +98,16 @@ def test_a_name_may_contain_wildcard_characters(bucket: Any) -> None:  # noqa: A
 
 
 @pytest.mark.parametrize(
-    ("url", "said"),
+    ("url", "message"),
     [
         ("s3://logs/none.mcap", "there is no such object (404); check the address"),
         ("s3://other/none.mcap", "there is no such bucket (404); check the address"),
         ("s3://logs/notes", "a folder with a.md; expected logs, such as .mcap, .bag or .csv files"),
     ],
 )
-def test_a_missing_object_bucket_or_log_is_reported(bucket: Any, url: str, said: str) -> None:  # noqa: ANN401
+def test_a_missing_object_bucket_or_log_is_reported(bucket: Any, url: str, message: str) -> None:  # noqa: ANN401
     bucket.pipe_file("logs/notes/a.md", b"dear")
-    with pytest.raises(imucal.ReadError, match=re.escape(f"{url}: {said}")) as error:
+    with pytest.raises(imucal.ReadError, match=re.escape(f"{url}: {message}")) as error:
         imucal.read(url)
     assert error.value.exit_code == 3
 
@@ -122,8 +122,8 @@ def test_missing_credentials_are_reported_with_a_solution(
     monkeypatch.delenv("AWS_ACCESS_KEY_ID")
     monkeypatch.delenv("AWS_SECRET_ACCESS_KEY")
     bucket.clear_instance_cache()
-    said = "s3://logs/a.csv: no credentials, or wrong ones; set AWS_PROFILE, or AWS_ACCESS_KEY_ID"
-    with pytest.raises(imucal.ReadError, match=re.escape(said)):
+    message = "s3://logs/a.csv: no credentials, or wrong ones; set AWS_PROFILE, or AWS_ACCESS_KEY_ID"
+    with pytest.raises(imucal.ReadError, match=re.escape(message)):
         imucal.read("s3://logs/a.csv")
     conf: dict[str, dict[str, object]] = {}
     # fsspec reads the variable only when it is loaded, which is already done.

@@ -38,7 +38,7 @@ def test_azure_without_an_account_is_reported_with_a_solution(monkeypatch: pytes
     pytest.importorskip("adlfs", reason="adlfs is part of an extra")
     for name in ("AZURE_STORAGE_CONNECTION_STRING", "AZURE_STORAGE_ACCOUNT_NAME"):
         monkeypatch.delenv(name, raising=False)
-    said = r"az://other/a\.csv: no credentials, or wrong ones; set AZURE_STORAGE_ACCOUNT_NAME"
+    message = r"az://other/a\.csv: no credentials, or wrong ones; set AZURE_STORAGE_ACCOUNT_NAME"
     pytest.importorskip("fsspec").get_filesystem_class("az").clear_instance_cache()
-    with pytest.raises(ReadError, match=said):
+    with pytest.raises(ReadError, match=message):
         identify("az://other/a.csv")

@@ -66,8 +66,8 @@ def messages() -> list[str]:
 
 def test_the_messages_of_the_page_equal_those_of_the_source() -> None:
     assert len(messages()) >= 12
-    said = [text for text in texts() if len(text) > 12]
-    assert [message for message in messages() if not any(says(message, text) for text in said)] == []
+    sources = [text for text in texts() if len(text) > 12]
+    assert [message for message in messages() if not any(says(message, text) for text in sources)] == []
 
 
 class Changing(list[int]):

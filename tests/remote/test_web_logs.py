@@ -90,11 +90,11 @@ def test_a_broken_download_is_continued(web: WebServer) -> None:
 def test_without_ranges_a_broken_download_restarts(web: WebServer) -> None:
     # The first look also gets the complete file, and reads its start.
     url = web.add("/log.csv", TABLE, cuts=[len(TABLE), 20_000], ranges=False)
-    told: list[int] = []
-    with fetched(url, progress=lambda done, _: told.append(done)) as copy:
+    counts: list[int] = []
+    with fetched(url, progress=lambda done, _: counts.append(done)) as copy:
         assert copy.path.read_bytes() == TABLE
     assert [part for _, part, _ in web.asked] == ["bytes=0-511", "", ""]
-    assert told[-1] == len(TABLE)
+    assert counts[-1] == len(TABLE)
 
 
 def test_too_many_broken_connections_are_an_error(web: WebServer, cache: Path) -> None:
@@ -114,8 +114,8 @@ def test_too_many_broken_connections_are_an_error(web: WebServer, cache: Path) -
 def test_repeated_failures_at_the_same_byte_are_an_error(web: WebServer, cache: Path) -> None:
     """A server without ranges restarts each time, which is no progress."""
     url = web.add("/log.csv", TABLE, ranges=False, cuts=[len(TABLE), *[20_000] * 90])
-    said = f"{url}: the connection ended after 20000 of {len(TABLE)} bytes (4 attempts); try again later"
-    with pytest.raises(imucal.ReadError, match=re.escape(said)):
+    message = f"{url}: the connection ended after 20000 of {len(TABLE)} bytes (4 attempts); try again later"
+    with pytest.raises(imucal.ReadError, match=re.escape(message)):
         imucal.read(url)
     # The first look, and four attempts of which only the first one made progress.
     assert len(web.asked) == 1 + 4
@@ -168,7 +168,7 @@ def test_requests_to_busy_servers_are_repeated(web: WebServer) -> None:
 
 
 @pytest.mark.parametrize(
-    ("code", "said"),
+    ("code", "message"),
     [
         (404, "there is no such object (404); check the address"),
         (410, "there is no such object (404); check the address"),
@@ -177,10 +177,10 @@ def test_requests_to_busy_servers_are_repeated(web: WebServer) -> None:
         (418, "the server answers 418 (I'm a Teapot); expected the file"),
     ],
 )  # fmt: skip
-def test_refused_requests_are_not_repeated(web: WebServer, code: int, said: str) -> None:
+def test_refused_requests_are_not_repeated(web: WebServer, code: int, message: str) -> None:
     """The error does not contain the query."""
     url = web.add("/log.csv", TABLE, statuses=[code])
-    with pytest.raises(imucal.ReadError, match=f"^{re.escape(f'{url}: {said}')}"):
+    with pytest.raises(imucal.ReadError, match=f"^{re.escape(f'{url}: {message}')}"):
         imucal.read(f"{url}?sig=SECRET")
     assert len(web.asked) == 1
 
@@ -222,10 +222,10 @@ def test_an_unreachable_server_is_an_error(web: WebServer, monkeypatch: pytest.M
 def test_a_web_page_instead_of_a_log_is_refused(web: WebServer, cache: Path, start: bytes) -> None:
     """A login page has status code 200."""
     url = web.add("/log.mcap", start + b" " * 9000, kind="text/html; charset=utf-8")
-    said = "log.mcap: the answer is a web page (text/html), perhaps for login, not a log; expected the"
-    with pytest.raises(imucal.ReadError, match=re.escape(said)):
+    message = "log.mcap: the answer is a web page (text/html), perhaps for login, not a log; expected the"
+    with pytest.raises(imucal.ReadError, match=re.escape(message)):
         imucal.read(url)
-    with pytest.raises(imucal.ReadError, match=re.escape(said)):
+    with pytest.raises(imucal.ReadError, match=re.escape(message)):
         describe(url)
     assert kept(cache) == []
 
@@ -263,8 +263,8 @@ def test_redirects_are_followed(web: WebServer) -> None:
 def test_endless_and_foreign_redirects_are_refused(web: WebServer, target: str, where: str) -> None:
     """The error does not contain the secret of the address."""
     url = web.add("/log.csv", b"", redirect=target)
-    said = f"{url}: the server redirects {where}; expected a file behind https:// or http://"
-    with pytest.raises(imucal.ReadError, match=f"^{re.escape(said)}$") as error:
+    message = f"{url}: the server redirects {where}; expected a file behind https:// or http://"
+    with pytest.raises(imucal.ReadError, match=f"^{re.escape(message)}$") as error:
         imucal.read(f"{url}?sig=SECRET")
     assert error.value.exit_code == 3
 
@@ -294,7 +294,7 @@ def test_urls_can_contain_spaces_and_umlauts(web: WebServer) -> None:
 
 
 @pytest.mark.parametrize(
-    ("url", "said"),
+    ("url", "message"),
     [
         (
             "s4://bucket/log.mcap",
@@ -305,9 +305,9 @@ def test_urls_can_contain_spaces_and_umlauts(web: WebServer) -> None:
         ("http://host:port/log.csv", "http://host:port/log.csv: can't be read: "),
     ],
 )
-def test_unsupported_schemes_are_refused(url: str, said: str) -> None:
+def test_unsupported_schemes_are_refused(url: str, message: str) -> None:
     """The error lists the supported schemes."""
-    with pytest.raises(imucal.ReadError, match=re.escape(said)):
+    with pytest.raises(imucal.ReadError, match=re.escape(message)):
         imucal.read(url)
 
 

@@ -92,11 +92,11 @@ def main() -> None:
         drawings = draw(report, ("png",), workers=1)
         missing = len(picture_names(report, ("png",))) - len(drawings.files)
         try:
-            whole = "</html>" in render_page(report, drawings=drawings)
+            complete = "</html>" in render_page(report, drawings=drawings)
         except Exception as error:  # noqa: BLE001 - what is counted here
             sys.stdout.write(f"report {i}: {error!r}\n")
-            whole = False
-        if missing or not whole:
+            complete = False
+        if missing or not complete:
             lost.append(i)
     sys.stdout.write(f"seed {seed}: {len(lost)} of {count} reports lost a page or a picture: {lost}\n")
 

@@ -55,12 +55,12 @@ def test_pictures_are_drawn_in_other_processes(monkeypatch: pytest.MonkeyPatch, 
 def test_a_failed_picture_is_reported(monkeypatch: pytest.MonkeyPatch, workers: int) -> None:
     """The error names all its formats, and the other pictures are drawn."""
     monkeypatch.delenv("IMUCAL_DEBUG", raising=False)
-    whole = figure.axis_figure
+    original = figure.axis_figure
 
     def fails(report: Report, axis: AxisReport) -> object:
         if axis.sensor is Sensor.GYROSCOPE:
             raise ArithmeticError
-        return whole(report, axis)
+        return original(report, axis)
 
     monkeypatch.setattr(figure, "axis_figure", fails)
     report = _two_axes()

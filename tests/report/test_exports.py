@@ -92,7 +92,7 @@ def test_as_fitted_exports_contain_n_and_k_of_the_fit(
 def test_every_file_explains_its_numbers(target: str) -> None:
     """A comment contains tool, version, log, rate, kind, formula, axes and inflation."""
     text = render(consumer_report(), target, ExportOptions(inflate={"white": 2, "walk": 10}))
-    for said in (
+    for part in (
         "imucal 0.1.0",
         "logs/still_night.mcap",
         "f = 200 Hz (measured)",
@@ -102,7 +102,7 @@ def test_every_file_explains_its_numbers(target: str) -> None:
         "white (N) x 2, walk (K) x 10; ALREADY in the numbers",
         "it warns of: tone, warm-up",
     ):
-        assert said in text
+        assert part in text
     assert re.search(r"kind: .*(continuous|discrete)", text)
 
 
@@ -176,8 +176,8 @@ def test_refuse_makes_an_undetected_term_an_error() -> None:
 @pytest.mark.parametrize("target", READERS)
 def test_a_log_of_one_sensor_gives_half_of_the_file(target: str, sensor: Sensor, tmp_path: Path) -> None:
     """The target's parser reads only that sensor's numbers; the comment names the missing sensor."""
-    whole = _plain_report()
-    report = replace(whole, axes=tuple(axis for axis in whole.axes if axis.sensor is sensor))
+    complete = _plain_report()
+    report = replace(complete, axes=tuple(axis for axis in complete.axes if axis.sensor is sensor))
     (path,) = export(report, target, tmp_path, fitted())
     recovered = READERS[target](path)
     _agree(report, recovered)
@@ -524,9 +524,9 @@ def _least_cover(report: Report, key: str, recovered: Recovered, horizon: float)
     white, walk, time = recovered[key, "N"], recovered[key, "K"], recovered.get((key, "T"))
     f = np.geomspace((0.01 if time is None else 0.5) / horizon, 0.5, 200)
     bias = TERMS["K"].of(walk) if time is None else GaussMarkov(sigma=walk * math.sqrt(time / 2), T=time)
-    said = white**2 + bias.psd(f, 1.0)
+    spectrum = white**2 + bias.psd(f, 1.0)
     axes = [axis for axis in report.axes if axis.name.startswith(key)]
-    return min(float(np.min(said / axis.fit.model.psd(f, rate_hz=1.0))) for axis in axes)
+    return min(float(np.min(spectrum / axis.fit.model.psd(f, rate_hz=1.0))) for axis in axes)
 
 
 @pytest.mark.parametrize("make", [_plain_report, consumer_report])

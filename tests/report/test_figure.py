@@ -248,9 +248,9 @@ def _check_texts(figure: Figure) -> None:
 
 def _overlap(one: Bbox, other: Bbox) -> bool:
     # One pixel of tolerance, because extents are rounded up to whole pixels.
-    beside = one.x0 + 1 >= other.x1 or other.x0 + 1 >= one.x1
+    apart = one.x0 + 1 >= other.x1 or other.x0 + 1 >= one.x1
     above = one.y0 + 1 >= other.y1 or other.y0 + 1 >= one.y1
-    return not bool(beside or above)
+    return not bool(apart or above)
 
 
 def _extent(text: Text, renderer: object) -> Bbox:

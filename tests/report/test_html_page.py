@@ -148,11 +148,11 @@ def test_the_page_contains_the_numbers_for_each_program(page: html.HtmlElement) 
 def test_the_page_has_a_row_for_every_export(page: html.HtmlElement) -> None:
     """The row contains the formulas of the exported file."""
     rows = page.get_element_by_id("downstream").xpath("(.//details)[2]//tbody/tr")
-    said = {row.xpath(".//code")[0].text_content(): row.text_content() for row in rows}
-    assert list(said) == list(TARGETS)
+    texts = {row.xpath(".//code")[0].text_content(): row.text_content() for row in rows}
+    assert list(texts) == list(TARGETS)
     for name, target in TARGETS.items():
-        assert target.title in said[name]
-        assert "; ".join(target.formulas) in said[name]
+        assert target.title in texts[name]
+        assert "; ".join(target.formulas) in texts[name]
 
 
 def test_the_tables_come_before_the_pictures(page: html.HtmlElement) -> None:

@@ -396,7 +396,7 @@ def _numbers(value: object) -> list[float]:
 
 
 @pytest.mark.parametrize(
-    ("place", "value", "said"),
+    ("place", "value", "message"),
     [
         ("fit.level", 1, "found 1.0, expected a number between 0 and 1"),
         ("fit.level", 0, "found 0.0, expected a number between 0 and 1"),
@@ -425,13 +425,13 @@ def _numbers(value: object) -> list[float]:
         ("findings", [3], "findings[0]: found 3, expected an object"),
     ],
 )
-def test_every_value_is_validated(place: str, value: object, said: str) -> None:
+def test_every_value_is_validated(place: str, value: object, message: str) -> None:
     """A user or another program may have changed the file."""
     document: Any = to_document(small_report())
     _set(document, ("axes", 0, *place.split(".")), value)
     with pytest.raises(ReadError) as caught:
         from_document(document)
-    assert f"{said}; write the report again" in str(caught.value)
+    assert f"{message}; write the report again" in str(caught.value)
     assert str(caught.value).startswith(f"report: axes[0].{place.partition('.')[0]}")
 
 

@@ -57,7 +57,7 @@ class Awkward:
         Rate at which the sensor sampled.
     samples
         Number of each sample as counted by the sensor, shape (n,); a repeated sample appears twice.
-    said
+    finding
         Code of an expected finding; empty for none.
     refused
         Whether the stamps are ambiguous, so that the user must give the rate.
@@ -66,7 +66,7 @@ class Awkward:
     stamps: IntArray
     rate_hz: float
     samples: IntArray
-    said: str = ""
+    finding: str = ""
     refused: bool = False
 
 
@@ -101,7 +101,7 @@ def fifo(
         "read": last * tau + (sample - first) * own,
         "last": last * tau - (last - sample) * own,
     }[anchor]
-    return Awkward(stamps=_whole(times, tick), rate_hz=rate, samples=sample, said="bursts")
+    return Awkward(stamps=_whole(times, tick), rate_hz=rate, samples=sample, finding="bursts")
 
 
 def lossy(
@@ -125,11 +125,11 @@ def bursty_loss(rate: float, *, n: int = 20_000, seed: int = 4) -> Awkward:
     return Awkward(stamps=_whole(_clock(rate, n))[kept], rate_hz=rate, samples=np.flatnonzero(kept))
 
 
-def even(rate: float, tick: int = 1, *, n: int = 6000, jitter: float = 0.0, said: str = "") -> Awkward:
+def even(rate: float, tick: int = 1, *, n: int = 6000, jitter: float = 0.0, finding: str = "") -> Awkward:
     """Return all samples, stamped by a clock that counts in ticks; the jitter is in periods."""
     noise = np.random.default_rng(5).normal(0, 1, n) * jitter * SECOND / rate
     return Awkward(
-        stamps=_whole(_clock(rate, n) + noise, tick), rate_hz=rate, samples=np.arange(n), said=said
+        stamps=_whole(_clock(rate, n) + noise, tick), rate_hz=rate, samples=np.arange(n), finding=finding
     )
 
 
@@ -141,7 +141,7 @@ def scheduled(rate: float, *, n: int = 8000, tick: int = 1, seed: int = 6) -> Aw
     at = np.searchsorted(reads, times)
     order = np.arange(n) - np.searchsorted(at, at)
     return Awkward(
-        stamps=_whole(reads[at] + order * 30 * US, tick), rate_hz=rate, samples=np.arange(n), said="bursts"
+        stamps=_whole(reads[at] + order * 30 * US, tick), rate_hz=rate, samples=np.arange(n), finding="bursts"
     )
 
 
@@ -150,22 +150,22 @@ def packets(rate: float, size: int, *, n: int = 8000, interval_ms: float = 7.5) 
     sample = np.arange(n)
     last = sample // size * size + size - 1
     times = np.ceil(last * (SECOND / rate) / (interval_ms * MS)) * interval_ms * MS
-    return Awkward(stamps=_whole(times), rate_hz=rate, samples=sample, said="bursts")
+    return Awkward(stamps=_whole(times), rate_hz=rate, samples=sample, finding="bursts")
 
 
 def changed(
-    of: Callable[[IntArray], IntArray], rate: float = 200.0, n: int = 8000, said: str = ""
+    of: Callable[[IntArray], IntArray], rate: float = 200.0, n: int = 8000, finding: str = ""
 ) -> Awkward:
     """Return even samples with stamps that a function changes."""
     clock = even(rate, n=n)
-    return Awkward(stamps=of(clock.stamps.copy()), rate_hz=rate, samples=clock.samples, said=said)
+    return Awkward(stamps=of(clock.stamps.copy()), rate_hz=rate, samples=clock.samples, finding=finding)
 
 
 def repeated(every: int, rate: float = 200.0, n: int = 6000) -> Awkward:
     """Return samples of which some are repeated with the same stamp and the same values."""
     sample = np.sort(np.concatenate([np.arange(n), np.arange(5, n, every)]))
     return Awkward(
-        stamps=even(rate, n=n).stamps[sample], rate_hz=rate, samples=sample, said="duplicate-stamps"
+        stamps=even(rate, n=n).stamps[sample], rate_hz=rate, samples=sample, finding="duplicate-stamps"
     )
 
 
@@ -233,7 +233,7 @@ def interpolated(rate: float, camera: float, n: int = 6000) -> Awkward:
     times = np.sort(np.concatenate([own, other]))
     return Awkward(
         stamps=_whole(times), rate_hz=(times.size - 1) / (times[-1] - times[0]) * SECOND,
-        samples=np.arange(times.size), said="uneven-stamps",
+        samples=np.arange(times.size), finding="uneven-stamps",
     )  # fmt: skip
 
 
@@ -245,7 +245,7 @@ def trials(
     jitter_ms: float = 0.0,
     tick: int = 1,
     seed: int = 7,
-    said: str = "",
+    finding: str = "",
 ) -> Awkward:
     """Return trials with sizes of shape (m,) and pauses after them in seconds, shape (m,).
 
@@ -258,14 +258,14 @@ def trials(
     times = starts[trial] + (np.arange(trial.size) - first[trial]) * (SECOND / rate)
     noise = np.random.default_rng(seed).normal(0, jitter_ms * MS, times.size)
     samples = np.round(times * (rate / SECOND)).astype(np.int64)
-    return Awkward(stamps=_whole(times + noise, tick), rate_hz=rate, samples=samples, said=said)
+    return Awkward(stamps=_whole(times + noise, tick), rate_hz=rate, samples=samples, finding=finding)
 
 
 def coarse(rate: float, tick: float, *, n: int = 6000, lost: float = 0.0, seed: int = 8) -> Awkward:
     """Return samples with a share lost, stamped by a clock whose ticks in ns need not be integers."""
     kept = np.flatnonzero(np.random.default_rng(seed).random(n) >= lost)
     stamps = np.round(np.floor(kept * (SECOND / rate) / tick + 0.3) * tick).astype(np.int64)
-    return Awkward(stamps=START + stamps, rate_hz=rate, samples=kept, said="coarse-stamps")
+    return Awkward(stamps=START + stamps, rate_hz=rate, samples=kept, finding="coarse-stamps")
 
 
 def switched(first_hz: float, then_hz: float, *, n: int = 6000, share: float = 0.5) -> Awkward:
@@ -300,7 +300,7 @@ def kinds() -> Iterator[tuple[str, Awkward]]:
     yield "jitter 0.2", even(200.0, jitter=0.2)
     yield "jitter 0.2 in ms", even(100.0, MS, jitter=0.2)
     yield "jitter 0.5", even(200.0, jitter=0.5)
-    yield "jitter 1.5", even(200.0, jitter=1.5, said="uneven-stamps")
+    yield "jitter 1.5", even(200.0, jitter=1.5, finding="uneven-stamps")
     yield "interpolated", interpolated(200.0, 19.3)
     for rate, tick in ((200.0, MS), (300.0, MS), (400.0, MS), (600.0, MS), (800.0, MS), (1600.0, MS)):
         yield f"{rate:g} Hz in ms", even(rate, tick)
@@ -315,15 +315,15 @@ def kinds() -> Iterator[tuple[str, Awkward]]:
     yield "packets of 4", packets(200.0, 4)
     yield "packets of 3", packets(104.0, 3, interval_ms=15.0)
     yield "stalls", changed(_stalled)
-    yield "swapped", changed(_swapped, said="stamps-out-of-order")
+    yield "swapped", changed(_swapped, finding="stamps-out-of-order")
     yield "one stamp wrong", changed(_one_wrong)
-    yield "some zero", changed(_some_zero, said="zero-stamps")
-    yield "restarted", changed(_restarted, said="clock-jump")
+    yield "some zero", changed(_some_zero, finding="zero-stamps")
+    yield "restarted", changed(_restarted, finding="clock-jump")
     yield "drift", changed(_drifting)
     for name, by in (("an hour ahead", 3600 * SECOND), ("an hour back", -3600 * SECOND)):
         yield f"set {name}", changed(_set(by))
-    yield "leap second", changed(_set(-SECOND), said="clock-jump")
-    yield "set 0.3 s ahead", changed(_set(300 * MS), said="gaps")
+    yield "leap second", changed(_set(-SECOND), finding="clock-jump")
+    yield "set 0.3 s ahead", changed(_set(300 * MS), finding="gaps")
     yield "all twice", repeated(1)
     yield "some twice", repeated(40)
     yield "stopped for an hour", stopped(200.0)
@@ -335,8 +335,8 @@ def kinds() -> Iterator[tuple[str, Awkward]]:
     for count, size, rate in ((300, 100, 50.0), (20, 25, 100.0), (8, 600, 200.0)):
         pauses = np.random.default_rng(count).uniform(1, 60, count)
         sizes = np.full(count, size)
-        yield f"{count} trials of {size}", trials(rate, sizes, pauses, said="gaps")
-        yield f"{count} trials of {size}, jitter", trials(rate, sizes, pauses, jitter_ms=0.2, said="gaps")
+        yield f"{count} trials of {size}", trials(rate, sizes, pauses, finding="gaps")
+        yield f"{count} trials of {size}, jitter", trials(rate, sizes, pauses, jitter_ms=0.2, finding="gaps")
     for rate, ticks, lost in ((201.3, 4.0, 0.0), (98.7, 8.0, 0.0), (903.0, 1.0, 0.03), (337.0, 2.0, 0.01)):
         yield f"{rate:g} Hz in {ticks:g} ms, lost {lost:g}", coarse(rate, ticks * MS, lost=lost)
     yield "100 Hz in single precision after 20 h", coarse(100.0, SECOND / 128)

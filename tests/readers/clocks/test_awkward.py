@@ -62,7 +62,7 @@ def is_right(case: Awkward) -> None:
     # A wrong stamp may also exclude one of its neighbours.
     assert once - 2 <= reading.clock.n <= once
     found = [finding.code for finding in reading.findings]
-    assert not case.said or case.said in found
+    assert not case.finding or case.finding in found
 
 
 @pytest.mark.parametrize("name", [name for name, case in KINDS.items() if not case.refused])
@@ -317,8 +317,8 @@ def test_losses_are_found_in_spite_of_jitter(rate: float, share: float, jitter: 
     reading = clock_of(case)
     clock = reading.clock
     assert clock.rate_hz == pytest.approx(rate, rel=1e-4)
-    (said,) = (finding.text for finding in reading.findings if finding.code == "uneven-stamps")
-    assert said.startswith("The time stamps jitter by 0.")
+    (text,) = (finding.text for finding in reading.findings if finding.code == "uneven-stamps")
+    assert text.startswith("The time stamps jitter by 0.")
     lost = 4000 - case.stamps.size
     assert abs(clock.missing - lost) <= 4 + 0.04 * lost
     assert clock.n >= 0.99 * case.stamps.size

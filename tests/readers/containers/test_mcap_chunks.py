@@ -94,14 +94,14 @@ def test_messages_of_a_chunk_can_have_different_sizes(mcap_of: McapOf) -> None:
     assert batch.log_ns.tolist() == [10, 20, 30]
 
 
-@pytest.mark.parametrize(("length", "whole"), [(21, False), (22, True), (26, True), (27, False)])
-def test_a_message_ends_within_its_chunk(length: int, whole: bool, mcap_of: McapOf) -> None:  # noqa: FBT001
+@pytest.mark.parametrize(("length", "complete"), [(21, False), (22, True), (26, True), (27, False)])
+def test_a_message_ends_within_its_chunk(length: int, complete: bool, mcap_of: McapOf) -> None:  # noqa: FBT001
     """The last message may end with the chunk; a message has at least 22 bytes."""
     raw = bytearray(message(1, 10, b"abcd") + message(1, 30, b"efgh"))
     struct.pack_into("<Q", raw, 36, length)
     batch = loaded(mcap_of, bytes(raw), index(1, (10, 0), (30, 35)))[1]
-    assert payloads(batch) == ([b"abcd", b"efgh"[: length - 22]] if whole else [b"abcd"])
-    assert (batch.loss is None) == whole
+    assert payloads(batch) == ([b"abcd", b"efgh"[: length - 22]] if complete else [b"abcd"])
+    assert (batch.loss is None) == complete
 
 
 @pytest.mark.parametrize(

@@ -114,12 +114,16 @@ def test_messages_are_loaded_in_parts(mcap_of: McapOf, monkeypatch: pytest.Monke
 
 def test_message_indexes_belong_to_the_previous_chunk(mcap_of: McapOf) -> None:
     """An empty index, or a second one of the same channel, is ignored."""
-    whole, seven, eight = chunk(MESSAGES), index(7, (10, 0), (30, 64)), index(8, (20, 33))
-    file = mcap_of(*HEAD, whole, seven, eight, index(9), record(99, b""), index(7, (10, 0)), whole, DATA_END)
-    at = START + len(whole)
+    complete, seven, eight = chunk(MESSAGES), index(7, (10, 0), (30, 64)), index(8, (20, 33))
+    file = mcap_of(
+        *HEAD, complete, seven, eight, index(9), record(99, b""), index(7, (10, 0)), complete, DATA_END
+    )
+    at = START + len(complete)
     assert file._chunks == [
         Chunk(START, at, "", {7: at, 8: at + len(seven)}),
-        Chunk(at + len(seven + eight) + 15 + 9 + 31, at + len(seven + eight) + 15 + 9 + 31 + len(whole), ""),
+        Chunk(
+            at + len(seven + eight) + 15 + 9 + 31, at + len(seven + eight) + 15 + 9 + 31 + len(complete), ""
+        ),
     ]
     assert counts(file) == {7: 4, 8: 2}
     assert (times(file, 7), times(file, 8)) == ([[10, 30]] * 2, [[20]] * 2)

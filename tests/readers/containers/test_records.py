@@ -25,12 +25,12 @@ def test_an_mcap_record_must_have_all_its_fields() -> None:
     from mcap.records import Channel as ChannelRecord
     from mcap.records import Schema
 
-    for kind, whole in ((Schema, schema(3)), (ChannelRecord, channel(7))):
-        assert mcap.parsed(kind, whole).id in {3, 7}
-        assert mcap.parsed(kind, whole + b"new field").id in {3, 7}
-        for size in range(len(whole)):
+    for kind, complete in ((Schema, schema(3)), (ChannelRecord, channel(7))):
+        assert mcap.parsed(kind, complete).id in {3, 7}
+        assert mcap.parsed(kind, complete + b"new field").id in {3, 7}
+        for size in range(len(complete)):
             with pytest.raises(DamagedError, match=rf"^a {kind.__name__} record is damaged$"):
-                mcap.parsed(kind, whole[:size])
+                mcap.parsed(kind, complete[:size])
 
 
 def test_a_name_that_is_not_utf_8_is_damaged() -> None:
@@ -53,11 +53,11 @@ def test_a_ros1_record_is_parsed() -> None:
             ros1.record((head + text(b"12345"))[:end], 0)
 
 
-@pytest.mark.parametrize(("size", "whole"), [(1 << 20, True), ((1 << 20) + 1, False)])
-def test_a_header_has_at_most_a_megabyte(size: int, whole: bool) -> None:  # noqa: FBT001
+@pytest.mark.parametrize(("size", "complete"), [(1 << 20, True), ((1 << 20) + 1, False)])
+def test_a_header_has_at_most_a_megabyte(size: int, complete: bool) -> None:  # noqa: FBT001
     field = text(b"a=".ljust(size - 4, b"b"))
     buffer = text(field) + text(b"")
-    if whole:
+    if complete:
         assert len(ros1.record(buffer, 0).head[b"a"]) == size - 6
     else:
         with pytest.raises(DamagedError, match=r"^a record header is damaged$"):

@@ -266,14 +266,16 @@ def test_a_locked_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def unfinished(folder: Path) -> Path:
     """Return a bag whose last messages are only in its write-ahead log."""
     path = folder / "killed.db3"
-    whole = database(folder)
-    with closing(sqlite3.connect(whole)) as base:
+    complete = database(folder)
+    with closing(sqlite3.connect(complete)) as base:
         base.execute("pragma journal_mode=wal")
         base.execute("delete from messages where id > 8")
         base.commit()
         for suffix in ("", "-wal"):
-            path.with_name(path.name + suffix).write_bytes(whole.with_name(whole.name + suffix).read_bytes())
-    whole.unlink()
+            path.with_name(path.name + suffix).write_bytes(
+                complete.with_name(complete.name + suffix).read_bytes()
+            )
+    complete.unlink()
     return path
 
 

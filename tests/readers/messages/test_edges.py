@@ -119,7 +119,7 @@ def test_properties_of_a_topic(
     assert topic.duration_s == (None if span is None else (span[1] - span[0]) / 1e9)
 
 
-def test_the_table_of_topics() -> None:
+def test_the_table_of_topics_has_aligned_columns() -> None:
     known = channel(count=101, first_ns=0, last_ns=10**9)
     topics = [
         Topic(name="/a", type="p/msg/Long", channels=(known,)),

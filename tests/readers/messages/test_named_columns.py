@@ -167,7 +167,7 @@ def test_the_unit_of_counts_must_be_given_and_that_of_decimals_is_assumed(tmp_pa
     assert "unit-assumed" in [finding.code for finding in recording.findings]
 
 
-def said(path: Path, **options: Any) -> str:  # noqa: ANN401 - options of any kind
+def refused(path: Path, **options: Any) -> str:  # noqa: ANN401 - options of any kind
     with pytest.raises(ImucalError) as caught:
         read(path, **options)
     return str(caught.value)
@@ -197,7 +197,7 @@ def test_a_columns_text_is_proposed_for_an_unrecognised_sensor(tmp_path: Path) -
 def test_a_list_of_structures_is_read_only_if_it_is_named(tmp_path: Path) -> None:
     """It is unknown which element is the IMU; the error explains what to do."""
     path = several(tmp_path)
-    message = said(path)
+    message = refused(path)
     assert message == (
         f"{path}: topic /imu/data: no column has the name of a gyroscope or accelerometer axis; found "
         "columns: 0 header.stamp; name them in a columns text of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names of "
@@ -206,18 +206,18 @@ def test_a_list_of_structures_is_read_only_if_it_is_named(tmp_path: Path) -> Non
     units: dict[str, Any] = {"gyro_unit": "rad/s", "accel_unit": "m/s^2"}
     first = read(path, columns="g=imus[0].rate,a=imus[0].force", **units)
     npt.assert_array_equal(axes(first), 5 * TRUTH.all)
-    assert "there is no column 'imus[0].rats'" in said(path, columns="g=imus[0].rats")
+    assert "there is no column 'imus[0].rats'" in refused(path, columns="g=imus[0].rats")
 
 
 def test_missing_columns_are_refused(tmp_path: Path) -> None:
     """The error lists the existing columns."""
     path = single(tmp_path)
-    assert said(path, columns="g=wx+wy+wz") == (
+    assert refused(path, columns="g=wx+wy+wz") == (
         f"{path}: no topic has the columns in the columns text; found these topics\n"
         "  /imu/data (acme/msg/Raw): columns text 'g=wx+wy+wz': there is no column 'wx'; found header.stamp, "
         "gx, gy, gz, ax, ay, az"
     )
-    assert said(path, columns="g=wx+wy+wz", topic=TOPIC) == (
+    assert refused(path, columns="g=wx+wy+wz", topic=TOPIC) == (
         f"{path}: topic /imu/data of type acme/msg/Raw can't be read: columns text 'g=wx+wy+wz': there is no "
         "column 'wx'; found header.stamp, gx, gy, gz, ax, ay, az"
     )
@@ -238,7 +238,7 @@ def test_a_named_temperature_is_read_or_refused(tmp_path: Path) -> None:
     npt.assert_array_equal(found.samples, 20.0 + np.arange(120) / 4)
     assert read(path, columns=SINGLE).temperature is None
     for wrong in ("note", "coldness"):
-        problem = said(path, columns=f"{SINGLE},temp={wrong}")
+        problem = refused(path, columns=f"{SINGLE},temp={wrong}")
         assert f"there is no column '{wrong}'; found header.stamp, " in problem
         assert "az, warmth" in problem
 
@@ -297,14 +297,14 @@ def test_messages_of_two_devices_on_one_topic_are_refused(tmp_path: Path) -> Non
         return {"header": stamp(types, row), "device_id": row % 2, **values}
 
     path = ros(tmp_path, text, build)
-    texts = re.search(r"such as (\S+) or (\S+) ", said(path))
+    texts = re.search(r"such as (\S+) or (\S+) ", refused(path))
     assert texts is not None
     for device, columns in enumerate(texts.groups()):
         recording = read(path, columns=columns, gyro_unit="rad/s")
         npt.assert_array_equal(axes(recording), TRUTH.all[device::2])
         assert recording.series[0].rate_hz == pytest.approx(50)
     for gyro, accel in (("@device_id:0", "@device_id:1"), ("@device_id:a", "@device_id:a"), ("", "@imu")):
-        message = said(path, columns=f"g=gx+gy+gz{gyro},a=ax+ay+az{accel}")
+        message = refused(path, columns=f"g=gx+gy+gz{gyro},a=ax+ay+az{accel}")
         assert "messages are selected by one number for both sensors, such as @id:1" in message
 
 
@@ -336,7 +336,7 @@ def test_the_unit_of_a_time_is_inferred_or_given(tmp_path: Path) -> None:
         assert recording.series[0].rate_hz == pytest.approx(100)
         npt.assert_array_equal(axes(recording), TRUTH.gyro)
     stamped = single(tmp_path)
-    assert "the time header.stamp, complete time stamps; omit it, or name another time column" in said(
+    assert "the time header.stamp, complete time stamps; omit it, or name another time column" in refused(
         stamped, columns=SINGLE, gyro_unit="rad/s", time_unit="s"
     )
 
@@ -445,7 +445,7 @@ def test_known_protobuf_fields_need_no_columns_text(tmp_path: Path) -> None:
 def test_named_columns_of_protobuf_messages_are_read(tmp_path: Path) -> None:
     """The error lists the columns; list elements are named by their index."""
     path = protobuf_log(tmp_path)
-    assert "1 turning_dps.x, 2 turning_dps.y" in said(path, topic=TOPIC)
+    assert "1 turning_dps.x, 2 turning_dps.y" in refused(path, topic=TOPIC)
     (topic,) = describe(path).topics
     assert topic.fields[-1] == "raw int32[]"
     is_near(read(path, columns="g=turning_dps,a=push_g", gyro_unit="deg/s", accel_unit="g"))
@@ -472,10 +472,10 @@ def test_a_damaged_log_gives_samples_or_an_error_with_its_path(
 ) -> None:
     """Schemas, definitions and messages are damaged at random."""
     path = write(tmp_path)
-    whole = path.read_bytes()
+    original = path.read_bytes()
     for seed in seeds:
         rng = np.random.default_rng(seed)
-        data = bytearray(whole)
+        data = bytearray(original)
         for place in rng.integers(0, len(data), 1 + int(rng.integers(20))):
             data[place] ^= 1 << int(rng.integers(8))
         path.write_bytes(data)

@@ -117,7 +117,7 @@ def test_rad_per_s_is_assumed_only_next_to_an_si_accelerometer(
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "expected"),
     [
         ({"gyro_unit": "deg/s"}, "deg/s as given"),
         ({"gyro_scale": 1e-4}, "0.0001 rad/s per count as given"),
@@ -126,15 +126,15 @@ def test_rad_per_s_is_assumed_only_next_to_an_si_accelerometer(
     ],
 )
 def test_a_given_unit_that_contradicts_the_header_is_a_warning(
-    given: dict[str, Any], said: str, tmp_path: Path
+    given: dict[str, Any], expected: str, tmp_path: Path
 ) -> None:
     """The given unit is used, because headers can be wrong. If both agree there is no warning."""
     path, t = tmp_path / "log.csv", truth()
     names = "t (s),gx (rad/s),gy (rad/s),gz (rad/s),ax (m/s^2),ay (m/s^2),az (m/s^2)"
     path.write_text(lines(names, seconds(t), *xyz(t.gyro), *xyz(t.accel)), encoding="utf-8")
     findings = [finding for finding in read(path, ReadOptions(**given)).findings if "unit" in finding.code]
-    text = f"The unit of the gyroscope is {said}; the log has rad/s, from the column header."
-    assert [finding.text for finding in findings] == [text] * bool(said)
+    text = f"The unit of the gyroscope is {expected}; the log has rad/s, from the column header."
+    assert [finding.text for finding in findings] == [text] * bool(expected)
     assert all((f.level, f.code, f.axis) == ("warning", "unit-given", "gyro") for f in findings)
 
 

@@ -88,10 +88,10 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Style, byt
     """Return the first lines of each layout, written once."""
     folder = tmp_path_factory.mktemp("logs")
     chosen = [style for style in STYLES if style.name in LAYOUTS]
-    whole = {style.name: (style, write(style, folder).read_bytes()) for style in chosen}
+    complete = {style.name: (style, write(style, folder).read_bytes()) for style in chosen}
     return {
         name: (style, b"".join(data.splitlines(keepends=True)[:LINES]))
-        for name, (style, data) in whole.items()
+        for name, (style, data) in complete.items()
     }
 
 

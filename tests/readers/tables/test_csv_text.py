@@ -340,7 +340,7 @@ def test_progress_increases_to_the_file_size(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_file_that_is_no_table_is_refused(content: bytes, message: str, tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_table_is_refused(content: bytes, message: str, tmp_path: Path) -> None:
     """The error reports the content and explains the solution."""
     path = store(tmp_path, content)
     with pytest.raises(ReadError) as caught:

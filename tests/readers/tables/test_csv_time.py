@@ -198,8 +198,8 @@ def test_a_finer_column_is_joined_to_a_coarse_one(
     tmp_path: Path,
 ) -> None:
     """The name or a columns text identifies it. Whole seconds alone would give 100 equal stamps."""
-    said = {"columns": "t=0+1,g=2:5"} if named else {}
-    clock = recorded(tmp_path, header, coarse, fine, **said).series[0].clock
+    options = {"columns": "t=0+1,g=2:5"} if named else {}
+    clock = recorded(tmp_path, header, coarse, fine, **options).series[0].clock
     assert clock.source in {f"column {header.replace(',', '+')}", "column time_ms"}
     assert clock.rate_hz == pytest.approx(100, rel=1e-9)
     assert (clock.n, clock.missing) == (N, 0)

@@ -151,8 +151,8 @@ def test_missing_parts_of_a_dialect_are_reported(
     """The sentence explains what to do."""
     broken = replace(ACME, **change)
     monkeypatch.setattr(dialects, "DIALECTS", (*DIALECTS, broken))
-    said = forgotten(broken, tmp_path, (*STYLES, EXAMPLE), WORDS)
-    assert any(each.startswith(f"{broken.name}: {sentence}") for each in said), said
+    found = forgotten(broken, tmp_path, (*STYLES, EXAMPLE), WORDS)
+    assert any(each.startswith(f"{broken.name}: {sentence}") for each in found), found
 
 
 def test_an_unrecognised_sensor_of_a_dialect_is_reported(
@@ -176,8 +176,8 @@ def test_an_unknown_word_for_a_sensor_is_reported(tmp_path: Path, monkeypatch: p
     strange = replace(ACME, headers=("twirl_x",))
     example = replace(EXAMPLE, build=lambda true: re.sub("turn_gyro|push_accel", "twirl", _acme_text(true)))
     monkeypatch.setattr(dialects, "DIALECTS", (*DIALECTS, strange))
-    (said,) = forgotten(strange, tmp_path, (*STYLES, example), WORDS)
-    assert said.startswith(
+    (found,) = forgotten(strange, tmp_path, (*STYLES, example), WORDS)
+    assert found.startswith(
         "Acme: no sensor is found in its example 'Acme logger': twirl_x, twirl_y, twirl_z, twirl_x, "
         "twirl_y, twirl_z name none; teach them to imucal/readers/tables/names.py ("
     )

@@ -35,26 +35,26 @@ def test_two_recordings_are_merged() -> None:
     """The gyroscope comes first, duplicate findings are removed, and the first temperature is used."""
     accel = recording(Sensor.ACCELEROMETER, 5, "both", "accel")
     gyro = recording(Sensor.GYROSCOPE, 7, "both", "gyro", temperature=True)
-    whole = merge([accel, gyro], ["a.csv", "g.csv"], "folder")
-    assert [series.sensor for series in whole.series] == [Sensor.GYROSCOPE, Sensor.ACCELEROMETER]
-    assert [series.clock.start_ns for series in whole.series] == [7, 5]
-    assert whole.source.path == "folder"
-    assert whole.source.topics == (str(Sensor.ACCELEROMETER), str(Sensor.GYROSCOPE))
-    assert whole.source.decisions == (
+    merged = merge([accel, gyro], ["a.csv", "g.csv"], "folder")
+    assert [series.sensor for series in merged.series] == [Sensor.GYROSCOPE, Sensor.ACCELEROMETER]
+    assert [series.clock.start_ns for series in merged.series] == [7, 5]
+    assert merged.source.path == "folder"
+    assert merged.source.topics == (str(Sensor.ACCELEROMETER), str(Sensor.GYROSCOPE))
+    assert merged.source.decisions == (
         ("files", "a.csv, g.csv"),
         *(("both", "both"), ("accel", "accel"), ("gyro", "gyro")),
     )
-    assert [finding.code for finding in whole.findings] == ["both", "accel", "gyro"]
-    assert whole.temperature is gyro.temperature
+    assert [finding.code for finding in merged.findings] == ["both", "accel", "gyro"]
+    assert merged.temperature is gyro.temperature
 
 
 def test_a_single_recording_is_only_renamed() -> None:
     """It gets the name of the set."""
     gyro = recording(Sensor.GYROSCOPE, 7, "one")
-    whole = merge([gyro], ["g.csv"], "folder")
-    assert whole.source.path == "folder"
-    assert (whole.series, whole.findings) == (gyro.series, gyro.findings)
-    assert whole.source.decisions == gyro.source.decisions
+    merged = merge([gyro], ["g.csv"], "folder")
+    assert merged.source.path == "folder"
+    assert (merged.series, merged.findings) == (gyro.series, gyro.findings)
+    assert merged.source.decisions == gyro.source.decisions
 
 
 def test_equal_clocks_are_shared() -> None:

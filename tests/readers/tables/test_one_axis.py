@@ -60,10 +60,10 @@ def test_some_axes_of_both_sensors_are_read(tmp_path: Path) -> None:
     recording = read(path)
     assert [series.name for series in recording.series] == ["gyro_x", "gyro_z", "accel_z"]
     np.testing.assert_allclose(recording.axis("accelerometer", "z").samples, RATES[:, 2] * 9.80665)
-    said = [(finding.code, finding.axis, finding.text) for finding in recording.findings]
+    findings = [(finding.code, finding.axis, finding.text) for finding in recording.findings]
     left = "was found in the table; unused columns: 4 humidity."
-    assert ("axis-missing", "gyro", f"Only x and z of the gyroscope {left}") in said
-    assert ("axis-missing", "accel", f"Only z of the accelerometer {left}") in said
+    assert ("axis-missing", "gyro", f"Only x and z of the gyroscope {left}") in findings
+    assert ("axis-missing", "accel", f"Only z of the accelerometer {left}") in findings
 
 
 def test_a_single_acceleration_axis_needs_a_unit(tmp_path: Path) -> None:

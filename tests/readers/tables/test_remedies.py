@@ -58,14 +58,14 @@ def test_each_proposed_time_unit_gives_the_reported_rate(step: float, name: str,
         assert 1 <= read(path).series[0].rate_hz <= 20_000
         return
     message = refused(path)
-    said = re.findall(r"([\d.e+-]+) Hz in (s|ms|us|ns)\b", message)
-    assert 1 <= len(said) <= 3
-    for rate, unit in said:
+    proposals = re.findall(r"([\d.e+-]+) Hz in (s|ms|us|ns)\b", message)
+    assert 1 <= len(proposals) <= 3
+    for rate, unit in proposals:
         assert read(path, time_unit=unit).series[0].rate_hz == pytest.approx(float(rate), rel=1e-3)
         assert read(path, rate_hz=float(rate)).series[0].rate_hz == pytest.approx(float(rate), rel=1e-3)
     column = re.search(r"such as (\w+),", message)
     # A header is proposed for plausible rates; an unusual rate must be given as an option.
-    assert (column is None) == all(not 1 <= float(rate) <= 20_000 for rate, _ in said)
+    assert (column is None) == all(not 1 <= float(rate) <= 20_000 for rate, _ in proposals)
     if column is None:
         return
     named = tmp_path / "named.csv"

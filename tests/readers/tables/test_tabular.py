@@ -22,10 +22,10 @@ def test_a_median_temperature_outside_the_range_is_ignored(
     rows = [f"{i * 10},{i % 3 * 0.001},0.002,0.003,{degrees}" for i in range(50)]
     path.write_text("\n".join(["time_ms,gx_rad/s,gy_rad/s,gz_rad/s,temperature", *rows]), encoding="utf-8")
     recording = read(path, ReadOptions())
-    said = dict(recording.source.decisions).get("temperature")
+    decision = dict(recording.source.decisions).get("temperature")
     if taken:
         assert recording.temperature is not None
-        assert said is None
+        assert decision is None
     else:
         assert recording.temperature is None
-        assert said == f"left out: a median of {degrees:.4g} is not in degrees Celsius"
+        assert decision == f"left out: a median of {degrees:.4g} is not in degrees Celsius"
