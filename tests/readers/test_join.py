@@ -115,10 +115,10 @@ def test_a_folder_of_unrelated_logs_is_refused(kind: str, tmp_path: Path) -> Non
         (("sn_0017.mcap", "sn_0018.mcap"), "the numbers in their names are of devices, not of parts"),
     ],
 )
-def test_consecutive_logs_without_a_common_name_are_refused(
+def test_consecutive_logs_are_refused_if_their_names_are_no_series(
     names: tuple[str, str], why: str, tmp_path: Path
 ) -> None:
-    """A test bench that logs one unit after another leaves no pause either."""
+    """Consecutive times are no proof: a bench that logs one unit after another leaves no pause either."""
     paths = [
         write_mcap(tmp_path / name, imu_messages(part(300 * i, 300 * i + 300)))
         for i, name in enumerate(names)

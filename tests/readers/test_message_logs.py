@@ -86,7 +86,7 @@ def test_the_index_gives_count_duration_and_rate_of_a_topic(
     duration: float | None,
     rate: float | None,
 ) -> None:
-    """They cover all files. If one file lacks a count, the total is unknown; a missing time is ignored."""
+    """They cover all files. If a file lacks a count, the total is unknown; files without times are ignored."""
     found = topic(*known)
     assert (found.count, found.duration_s, found.rate_hz) == (count, duration, rate)
 

@@ -148,7 +148,7 @@ def test_running_extremes_exclude_the_current_value() -> None:
 
 
 def test_the_minimum_covers_a_power_of_two_of_values() -> None:
-    """The number of values is rounded up to a power of two and ends with the data."""
+    """The number of values is rounded up to a power of two; the range ends with the data."""
     x = np.array([5.0, 4.0, 6.0, 2.0, 3.0, 0.0])
     reach = [0, 1, 2, 3, 4, 5]
     found = [_lowest_after(x, np.array([0]), np.array([n])).tolist() for n in reach]

@@ -107,7 +107,7 @@ def test_two_named_topics_are_one_for_each_sensor(names: tuple[str, str]) -> Non
 
 
 def test_the_error_lists_the_available_topics() -> None:
-    """Cases: plain vectors, an unreadable type, and a wrong name."""
+    """Cases: plain vectors, an unreadable type, empty topics, and no topics."""
     with pytest.raises(
         ChoiceError, match="only vectors without a known meaning; choose one of these topics\n  /p"
     ):

@@ -224,7 +224,7 @@ def test_missing_columns_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_named_temperature_is_read_or_refused(tmp_path: Path) -> None:
-    """A temperature column that contains no numbers is an error."""
+    """A missing temperature column, or one without numbers, is an error."""
     names = ("gx", "gy", "gz", "ax", "ay", "az")
     text = "std_msgs/Header header\nstring note\n" + "".join(f"float64 {name}\n" for name in names)
 

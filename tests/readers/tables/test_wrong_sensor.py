@@ -162,7 +162,7 @@ def test_an_unrecognised_sensor_is_reported(tmp_path: Path) -> None:
 
 
 def test_other_columns_are_reported_as_info_without_advice(tmp_path: Path) -> None:
-    """A table that contains only one sensor and its time has no such finding."""
+    """Known columns, such as a temperature or a magnetometer, cause no finding."""
     path = tmp_path / "log.csv"
     zero = ["0"] * N
     path.write_text(lines("time (s),ax,ay,az,humidity", seconds(T), *xyz(T.accel), zero), encoding="utf-8")
