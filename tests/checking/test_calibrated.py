@@ -64,7 +64,7 @@ def test_the_interval_of_the_magnitude_decides(
 
 
 def test_every_limit_has_rows_in_its_unit(found: Calibration, document: Document) -> None:
-    """They contain the values of calibration.json in that unit; the residual has no interval."""
+    """Rows contain the values of calibration.json in that unit; the residual has no interval."""
     limits = """
         [calibration.accelerometer]
         misalignment = { max = 1, unit = "deg" }

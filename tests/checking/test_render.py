@@ -25,7 +25,7 @@ def _result(*, undecided: str = "pass", path: str = "a.mcap") -> CheckResult:
 
 
 def test_json_contains_every_number() -> None:
-    """It is strict JSON."""
+    """The document is strict JSON."""
     document = json.loads(json.dumps(to_document(_result()), allow_nan=False))
     assert document["schema"] == "imucal/checking/1"
     assert (document["verdict"], document["passed"]) == ("fail", False)

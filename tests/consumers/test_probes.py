@@ -36,7 +36,7 @@ def test_gtsam_integrates_the_noise_of_the_export(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("target", ["px4", "ardupilot"])
 def test_pymavlink_loads_the_parameters(target: str, tmp_path: Path) -> None:
-    """It skips the four lines for QGroundControl and reads all others."""
+    """The parser skips the four lines for QGroundControl and reads all others."""
     (file,) = export(consumer_report(), target, tmp_path)
     pythons = list(interpreters("pymavlink"))
     if not pythons:

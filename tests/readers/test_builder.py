@@ -49,7 +49,7 @@ def test_an_order_selects_samples_and_temperatures() -> None:
 
 
 def test_duplicate_findings_and_decisions_are_removed() -> None:
-    """They keep the order of their first appearance."""
+    """Findings and decisions keep the order of their first appearance."""
     builder = RecordingBuilder(path="log", format="csv", decisions=[("unit", "SI")])
     first, second = (Finding(level="info", code=code, text=code) for code in ("a", "b"))
     builder.findings += [second, first, second]

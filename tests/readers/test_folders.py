@@ -129,7 +129,7 @@ def test_a_folder_written_by_imucal_is_recognised(file: str, message: str, tmp_p
 
 
 def test_metadata_are_parsed() -> None:
-    """They contain files, compression and message counts, in any order and with any quotes."""
+    """Metadata contain files, compression and message counts, in any order and with any quotes."""
     names, mode, counts = parse_metadata(METADATA.format(format="zstd", mode="MESSAGE"))
     assert names == ("bag_10.mcap", "bag_2.mcap")
     assert mode == "MESSAGE"
@@ -173,7 +173,7 @@ def test_tables_are_joined_in_the_order_of_their_first_samples(tmp_path: Path) -
 
 
 def test_files_of_different_rates_are_refused(tmp_path: Path) -> None:
-    """They do not belong to one recording."""
+    """Files with different rates do not belong to one recording."""
     first = write_mcap(tmp_path / "a_1.mcap", imu_messages(part(0, 150)))
     table = tmp_path / "a_2.csv"
     other = samples(50, rate=50.0)

@@ -76,7 +76,7 @@ def _missing_in_module(entry: Format) -> Iterator[str]:
 
 @pytest.mark.parametrize("entry", FORMATS, ids=lambda entry: entry.name)
 def test_a_format_is_complete(entry: Format, written: set[str]) -> None:
-    """It needs a module, functions, docstrings, first bytes, a row in the README, and a test log."""
+    """A format needs a module, functions, docstrings, first bytes, a row in the README, and a test log."""
     assert missing(entry, written) == []
 
 

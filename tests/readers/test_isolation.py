@@ -80,7 +80,7 @@ def test_the_memory_of_the_child_is_limited(file: Path, monkeypatch: pytest.Monk
 
 
 def test_prints_in_the_child_are_discarded(file: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """They must not mix with the results or appear in the caller's streams."""
+    """Prints must not mix with the results or appear in the caller's streams."""
     call(file, os.system, "echo printed; echo said >&2")
     call(file, print, "printed")
     assert call(file, len, b"ab") == 2

@@ -291,7 +291,7 @@ def test_the_advice_in_the_message_works(tmp_path: Path) -> None:
 
 
 def test_info_describes_the_logs_of_a_folder_one_by_one(tmp_path: Path) -> None:
-    """They are not one log with twice the rate."""
+    """The logs must not be described as one log with twice the rate."""
     folder = tmp_path / "bench"
     folder.mkdir()
     for i in range(2):

@@ -86,7 +86,7 @@ def test_the_index_gives_count_duration_and_rate_of_a_topic(
     duration: float | None,
     rate: float | None,
 ) -> None:
-    """They cover all files. If a file lacks a count, the total is unknown; files without times are ignored."""
+    """If a file lacks a count, the total is unknown. Files without times are ignored."""
     found = topic(*known)
     assert (found.count, found.duration_s, found.rate_hz) == (count, duration, rate)
 
@@ -101,7 +101,7 @@ def test_the_index_gives_count_duration_and_rate_of_a_topic(
     ],
 )
 def test_samples_are_sorted_by_log_time(stamps: list[int], log: list[int], rows: list[int]) -> None:
-    """They stay as they are if sorting would increase the number of stamps out of order."""
+    """Samples keep their order if sorting would increase the number of stamps out of order."""
     times = np.array(stamps), np.array(log)
     samples = [np.arange(4.0), np.arange(4.0)]
     (found,) = in_time_order(*times, samples, Room())

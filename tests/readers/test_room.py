@@ -59,7 +59,7 @@ def test_a_large_array_is_in_a_temporary_file() -> None:
 
 
 def test_pages_of_mapped_arrays_are_released_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They are released after each block and at the end."""
+    """Pages are released after each block and at the end."""
     seen: list[int] = []
     monkeypatch.setattr(arrays, "_hand_back", lambda held: seen.extend(map(len, held)))
     held = Room(0).empty(100, np.float64)

@@ -79,7 +79,7 @@ def carried(mean: float) -> np.ndarray:
 
 
 def test_accelerations_without_gravity_are_not_in_g() -> None:
-    """Their size equals gravity in g, but their mean does not; a carried phone has the right mean."""
+    """The size equals gravity in g, but the mean does not; a carried phone has the right mean."""
     assert infer_accel_unit(carried(0.9)).unit == "g"
     found = infer_accel_unit(carried(0.1))
     assert found.unit is None

@@ -114,7 +114,7 @@ def test_the_command_in_the_message_converts_the_file(name: str, tmp_path: Path)
 
 
 def test_an_array_of_objects_is_converted_to_numbers(tmp_path: Path) -> None:
-    """Its columns have no names, so reading needs a columns text."""
+    """The columns of the array have no names, so reading needs a columns text."""
     path = tmp_path / "array.npy"
     np.save(path, objects())
     is_truth(typed(refused(path), tmp_path), columns="t=0,g=1:4,a=4:7")
@@ -232,14 +232,14 @@ def write_matlab_object(path: Path, kind: str) -> None:
     ],
 )
 def test_objects_of_matlab_are_refused(kind: str, way: str, tmp_path: Path) -> None:
-    """Their six numbers must not be taken for sensor axes."""
+    """The six numbers of a MATLAB object must not be taken for sensor axes."""
     path = tmp_path / "log.mat"
     write_matlab_object(path, kind)
     assert refused(path) == f"{path}: T is a {kind}, which only MATLAB can read; in MATLAB type {way}"
 
 
 def test_arrays_next_to_a_matlab_table_are_read_if_they_contain_a_sensor(tmp_path: Path) -> None:
-    """Otherwise the error contains both solutions."""
+    """If the arrays contain no sensor, the error contains both solutions."""
     path = tmp_path / "log.mat"
     import scipy.io
 

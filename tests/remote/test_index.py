@@ -20,7 +20,7 @@ from tests.remote.web_server import WebServer
 
 @pytest.mark.parametrize("name", ["consumer_mems.mcap", "tactical.bag"])
 def test_the_index_gives_the_same_description(web: WebServer, name: str) -> None:
-    """It equals the description of the local file, and nothing is cached."""
+    """The description equals that of the local file, and nothing is cached."""
     body = (SAMPLE_LOGS / name).read_bytes()
     url = web.add(f"/{name}", body)
     here, there = describe(SAMPLE_LOGS / name), describe(f"{url}?sig=SECRET")
@@ -33,7 +33,7 @@ def test_the_index_gives_the_same_description(web: WebServer, name: str) -> None
 
 
 def test_a_cut_log_is_downloaded_and_described(web: WebServer) -> None:
-    """It has no index, so the complete file is needed."""
+    """The cut log has no index, so the complete file is needed."""
     body = (SAMPLE_LOGS / "consumer_mems.mcap").read_bytes()[:-200_000]
     contents = describe(web.add("/cut.mcap", body))
     assert [finding.code for finding in contents.findings] == ["truncated"]

@@ -90,7 +90,7 @@ def test_urls_are_shown_without_secrets(url: str, public: str, name: str | None)
 
 
 def test_reports_of_remote_logs_are_named_after_the_log() -> None:
-    """They are in the current folder."""
+    """Report folders are in the current folder."""
     assert report_folder(f"https://host/x/still.mcap?{SECRET}") == Path("still-imucal")
     assert report_folder("s3://bucket/runs/monday/", "decomposed") == Path("monday-decomposed")
 
@@ -123,7 +123,7 @@ def test_a_log_is_fetched_once_with_an_empty_cache(
 
 
 def test_the_key_of_a_log_depends_on_place_etag_and_size(web: WebServer) -> None:
-    """It has 32 digits."""
+    """The key has 32 digits."""
     first = identify(web.add("/a.csv", b"one"))
     assert len(first.key) == 32
     others = [("/b.csv", b"one", '"one"'), ("/a.csv", b"one", '"two"'), ("/a.csv", b"four", '"one"')]

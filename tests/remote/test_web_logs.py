@@ -63,7 +63,7 @@ def test_a_changed_object_is_downloaded_again(web: WebServer) -> None:
 
 
 def test_the_modification_time_replaces_a_missing_etag(web: WebServer, cache: Path) -> None:
-    """In this case the query may select the content, so it becomes part of the key."""
+    """Without an ETag the query may select the content, so it becomes part of the key."""
     url = web.add("/log.csv", TABLE, etag=None, modified="Sun, 22 Nov 2026 05:00:00 GMT")
     assert identify(url).etag == "Sun, 22 Nov 2026 05:00:00 GMT"
     assert identify(url).key == identify(url).key
@@ -270,7 +270,7 @@ def test_endless_and_foreign_redirects_are_refused(web: WebServer, target: str, 
 
 
 def test_credentials_come_from_the_url_or_netrc(web: WebServer, tmp_path: Path) -> None:
-    """They are never shown, and a redirect to another host does not get them."""
+    """Credentials are never shown, and a redirect to another host does not get them."""
     web.add("/log.csv", TABLE, login="Basic bWU6YUBi")
     host = web.url.removeprefix("http://")
     source = imucal.read(f"http://me:a%40b@{host}/log.csv", **OPTIONS, checksums=True).source
@@ -283,7 +283,7 @@ def test_credentials_come_from_the_url_or_netrc(web: WebServer, tmp_path: Path) 
 
 
 def test_urls_can_contain_spaces_and_umlauts(web: WebServer) -> None:
-    """They may be quoted or not. Impossible file names are replaced."""
+    """Characters may be quoted or not. Impossible file names are replaced."""
     web.add("/Läufe 1/log 1.csv", TABLE)
     for path in ("/Läufe 1/log 1.csv", "/L%C3%A4ufe%201/log%201.csv"):
         with fetched(web.url + path) as copy:

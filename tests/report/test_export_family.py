@@ -41,7 +41,7 @@ def _key(name: str) -> str:
 
 @pytest.mark.parametrize("name", TARGETS)
 def test_a_format_is_complete(name: str) -> None:
-    """It has names, texts and a parser in the tests."""
+    """A format needs names, texts and a parser in the tests."""
     assert forgotten(TARGETS[name]) == []
 
 

@@ -141,7 +141,7 @@ def test_read_off_points_are_on_the_line_of_their_term(text: str, tau: float, he
 
 
 def test_uncertain_ends_of_the_curve_are_not_drawn() -> None:
-    """They have less than two degrees of freedom; if all points are uncertain, all are drawn."""
+    """Uncertain points have less than two degrees of freedom. If all points are uncertain, all are drawn."""
     curve = small_report().axes[0].fit.curve
     shown = shown_points(curve)
     assert (curve.edf[shown] >= 2).all()
@@ -163,7 +163,7 @@ def test_an_axis_without_a_spectrum_or_a_known_interval_can_be_drawn() -> None:
 
 
 def test_a_dollar_sign_in_a_path_is_not_a_formula() -> None:
-    """Such paths exist in Windows and in shells."""
+    """Paths with dollar signs exist in Windows and in shells."""
     report = small_report()
     report = replace(report, source=replace(report.source, path="C$/still$_^_\\night.csv"))
     assert "still$_^_\\night.csv" in _words(axis_figure(report, report.axes[0]))
@@ -310,7 +310,7 @@ def test_the_legend_shows_only_marks_of_the_plot() -> None:
 
 
 def test_a_picture_shows_the_alternatives_of_a_term() -> None:
-    """They are in the table of a sensor and at the line of an axis."""
+    """The alternatives are in the table of a sensor and at the line of an axis."""
     report = consumer_report()
     axis = report.axes[0]
     estimate = replace(axis.fit["K"], alternatives=("GM",), horizon_s=564.0)

@@ -56,7 +56,7 @@ def test_averages_skip_missing_samples() -> None:
 
 
 def test_the_picture_of_a_bias_is_reproducible() -> None:
-    """It is equal byte by byte, and contains the log's name at the bottom."""
+    """Two renderings are equal byte by byte, and contain the log's name at the bottom."""
     parts = _parts("N=1e-3 + B=5e-4 + K=1e-4")
     first = render(bias_figure(parts, source="a $b$ log.mcap"), "png")
     assert first == render(bias_figure(parts, source="a $b$ log.mcap"), "png")

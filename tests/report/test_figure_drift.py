@@ -62,7 +62,7 @@ def test_a_single_time_and_a_bound_are_drawn() -> None:
 
 
 def test_the_picture_of_a_drift_is_reproducible() -> None:
-    """It is equal byte by byte, and contains the log's name at the bottom."""
+    """Two renderings are equal byte by byte, and contain the log's name at the bottom."""
     one, other = (drift_figure(small_report(), imucal.drift(small_report())) for _ in range(2))
     assert render(one, "png") == render(other, "png")
     assert "still_night.mcap" in [text.get_text() for text in one.texts]

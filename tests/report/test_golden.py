@@ -39,7 +39,7 @@ _BLOCK = re.compile(
 
 
 def test_exports_equal_the_golden_file(*, update_golden: bool) -> None:
-    """They contain bounds, unsupported terms and Gauss-Markov states; one file has all options."""
+    """The exports contain bounds, unsupported terms and Gauss-Markov states; one file has all options."""
     texts = [f"=== {name}\n{render(consumer_report(), name)}" for name in TARGETS]
     chosen = render(
         consumer_report(),

@@ -55,7 +55,7 @@ def test_a_page_is_small_enough_to_mail() -> None:
 
 
 def test_the_plot_script_is_the_published_plotly() -> None:
-    """Its licence is included."""
+    """The licence of Plotly is included."""
     folder = files("imucal.report").joinpath("plotly")
     script = zlib.decompress(folder.joinpath("plotly-basic.min.js.zlib").read_bytes()).decode()
     assert script.startswith("/**\n* plotly.js (basic - minified) v4")
@@ -97,7 +97,7 @@ def test_tables_contain_both_units_and_the_bounds(page: html.HtmlElement) -> Non
 
 
 def test_findings_have_text_axis_and_advice(page: html.HtmlElement) -> None:
-    """They include the usable part of the log, and warnings come before infos."""
+    """Findings include the usable part of the log, and warnings come before infos."""
     section = page.get_element_by_id("findings")
     text = " ".join(section.text_content().split())
     assert "Warnings (2)" in text
@@ -166,7 +166,7 @@ def test_the_tables_come_before_the_pictures(page: html.HtmlElement) -> None:
     [(0.0332, "0.0332"), (1.4878e-5, "1.49 ×10⁻⁵"), (9.999e-4, "0.001"), (0.0, "0"), (12345.0, "1.23 ×10⁴")],
 )
 def test_numbers_of_the_page_have_three_digits(value: float, text: str) -> None:
-    """None has an exponent with an e."""
+    """No number has an exponent with an e."""
     assert scientific(value) == text
 
 
@@ -187,7 +187,7 @@ def test_names_of_the_log_are_escaped() -> None:
 
 
 def test_the_page_is_reproducible() -> None:
-    """It contains no date and no random name."""
+    """The page contains no date and no random name."""
     assert render_page(small_report()) == small_page()
 
 
@@ -448,7 +448,7 @@ def test_hover_shows_tau_deviation_interval_and_model(browser: Browser, address:
 
 
 def test_a_plot_has_two_tab_stops(browser: Browser, address: str) -> None:
-    """They are the plot and its buttons; arrow keys move between the buttons."""
+    """The tab stops are the plot and its buttons; arrow keys move between the buttons."""
     _load(browser, address)
     stops = """
         return [...document.querySelectorAll('#gyro_x-allan, #gyro_x-allan *')].filter((e) => e.tabIndex >= 0)

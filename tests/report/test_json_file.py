@@ -139,7 +139,7 @@ def test_a_report_is_read_back_exactly(make: Callable[[], Report]) -> None:
 
 
 def test_alternatives_of_a_term_are_read_back() -> None:
-    """They include other terms, the horizon, and the widening of the interval. Older files have none."""
+    """Alternatives are other terms, the horizon, and the widening of the interval. Older files have none."""
     report = small_report()
     axis = report.axes[0]
     doubtful = tuple(
@@ -193,7 +193,7 @@ def test_every_finding_is_written_once_with_its_axis() -> None:
 
 
 def test_the_summary_has_the_numbers_of_usable_axes() -> None:
-    """It is sorted by axis and term, with the numbers of the axes; a log of a moving sensor has none."""
+    """The summary is sorted by axis and term. The summary is empty if the sensor moved."""
     report = consumer_report()
     document: Any = to_document(report)
     assert [*document["summary"]] == [axis.name for axis in report.axes]
@@ -219,7 +219,7 @@ def test_a_file_of_version_1_is_read() -> None:
 
 
 def test_raw_signals_are_in_a_separate_file(tmp_path: Path) -> None:
-    """It is read with the report. If it is missing, signals are empty; an invalid file is an error."""
+    """Signals are read with the report. Without the file they are empty; an invalid file is an error."""
     report = small_report()
     (tmp_path / "report.json").write_text(dumps(to_document(report)), encoding="utf-8")
     assert load(tmp_path).axes[0].overview.low.size == 0
@@ -436,7 +436,7 @@ def test_every_value_is_validated(place: str, value: object, message: str) -> No
 
 
 def test_the_text_of_a_document_is_readable() -> None:
-    """It has one key per line, plain lists on one line, unescaped characters, and never NaN."""
+    """The text has one key per line, plain lists on one line, unescaped characters, and never NaN."""
     document = {"a": {"b": [1, 2.5, None], "c": {}}, "d": [], "e": [{"f": "°"}, {"g": [[1], [2]]}], "h": True}
     assert dumps(document) == (
         '{\n  "a": {\n    "b": [1, 2.5, null],\n    "c": {}\n  },\n  "d": [],\n'

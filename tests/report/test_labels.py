@@ -57,7 +57,7 @@ def test_boxes_that_touch_do_not_overlap() -> None:
     [(0, (13, 19, 17, 21)), (90, (8, 23, 12, 25)), (180, (3, 19, 7, 21)), (270, (8, 15, 12, 17))],
 )
 def test_a_label_is_next_to_its_point(angle: float, box: tuple[float, ...]) -> None:
-    """Its nearest edge has the distance 3 from the point (10, 20)."""
+    """The nearest edge of the label has the distance 3 from the point (10, 20)."""
     found = _box_near(_points((10, 20))[0], (4.0, 2.0), 3.0, math.radians(angle))
     npt.assert_allclose([found.x0, found.y0, found.x1, found.y1], box, atol=1e-12)
 
@@ -153,7 +153,10 @@ def test_a_line_is_labelled_at_its_free_point() -> None:
 
 @pytest.mark.parametrize("free", [(10, 10), (190, 90), (12, 90)])
 def test_a_single_free_place_is_found_in_a_crowd(free: tuple[float, float]) -> None:
-    """It can be far from the point, with a long leader. Its middle is found up to the grid."""
+    """The place can be far from the point, with a long leader.
+
+    The middle of the place is found up to the grid.
+    """
     room = _room()
     room.taken += [
         box

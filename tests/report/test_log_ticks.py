@@ -29,7 +29,7 @@ from imucal.report.figure_style import draw_ticks, tick_label, tick_places
     ],
 )
 def test_labels_have_the_usual_form(value: float, label: str) -> None:
-    """They are plain from 0.01 to 1000, and powers of ten otherwise."""
+    """Labels are plain from 0.01 to 1000, and powers of ten otherwise."""
     assert tick_label(value) == label
 
 
@@ -63,7 +63,7 @@ def test_ticks_are_few_and_round(low: float, high: float, major: list[float]) ->
     ],
 )
 def test_minor_ticks_fill_the_space(low: float, high: float, minor: list[float]) -> None:
-    """They are all digits of a decade, or decades if not all are labelled.
+    """Minor ticks are all digits of a decade, or decades if not all are labelled.
 
     There are none if every digit is labelled.
     """

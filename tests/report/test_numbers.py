@@ -71,7 +71,7 @@ def test_asymmetric_bounded_and_unknown_values_are_printed_differently(quantity:
 
 @given(high=st.floats(1e-12, 1e12))
 def test_a_printed_bound_is_never_below_the_bound(high: float) -> None:
-    """It is at most 10 % above the bound."""
+    """The printed value is at most 10 % above the bound."""
     text, interval = compact(_quantity(None, 0.0, high))
     printed = float(text.removeprefix("< "))
     assert interval == ""
@@ -117,7 +117,7 @@ def test_a_walk_that_may_be_a_gauss_markov_term_has_a_minimum_t() -> None:
 
 
 def test_numbers_of_a_row_share_an_exponent() -> None:
-    """It is a multiple of three and fits the largest number."""
+    """The exponent is a multiple of three and fits the largest number."""
     limits = ((1.1e-6, 1e-6, 1.2e-6), (None, 0.0, 4e-7), (3e-9, 2e-9, 4e-9))
     row = [_quantity(value, low, high, "rad/s") for value, low, high in limits]
     assert numbers.engineering_exponent(row) == -6
@@ -196,7 +196,7 @@ def test_the_minimum_has_the_interval_of_its_point() -> None:
     ],
 )
 def test_durations_have_readable_units(seconds: float, text: str) -> None:
-    """They have at most two units; a smaller unit of zero is omitted."""
+    """Durations have at most two units; a smaller unit of zero is omitted."""
     assert duration(seconds) == text
 
 

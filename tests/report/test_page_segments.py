@@ -76,7 +76,7 @@ def test_segments_are_valid_and_read_back() -> None:
 
 
 def test_a_report_without_segments_is_read() -> None:
-    """It has no segments and no wider intervals."""
+    """The report has no segments and no wider intervals."""
     document = json.loads(dumps(to_document(small_report())))
     for axis in document["axes"]:
         del axis["fit"]["segments"]

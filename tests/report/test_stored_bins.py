@@ -59,7 +59,7 @@ def test_bins_are_read_back_with_all_digits() -> None:
 
 
 def test_bins_are_written_only_on_request() -> None:
-    """They would be the largest part of the file."""
+    """Bins would be the largest part of the file."""
     document: Any = to_document(_report(bins=False))
     assert "bins" not in document["axes"][0]["fit"]
 

@@ -53,7 +53,7 @@ def weak_user() -> Iterator[Path]:
 
 
 def test_the_folder_contains_all_files_of_a_report(tmp_path: Path) -> None:
-    """It has a JSON and a picture per axis, an overview per sensor and the page; report.json comes first."""
+    """A report has a JSON and a picture per axis, an overview per sensor and a page; report.json is first."""
     report = consumer_report()
     report = replace(report, axes=report.axes[2:4])
     files = write_report(report, tmp_path / "deep" / "out")
@@ -106,7 +106,7 @@ def test_an_old_report_is_replaced_and_other_files_are_kept(old: Path) -> None:
 
 
 def test_an_empty_folder_is_used(tmp_path: Path) -> None:
-    """It can be a mounted volume with a read-only parent."""
+    """An empty folder can be a mounted volume with a read-only parent."""
     write_report(small_report(), tmp_path, formats=(), html=False)
     assert _names(tmp_path) == _FILES
 
@@ -164,7 +164,7 @@ def test_a_folder_with_the_name_of_a_file_stops_the_write(old: Path) -> None:
 
 
 def test_an_unknown_picture_format_is_an_error(tmp_path: Path) -> None:
-    """It is raised before anything is written."""
+    """The error is raised before anything is written."""
     with pytest.raises(ValueError, match="format 'gif' is not one of png, svg, pdf"):
         write_report(small_report(), tmp_path / "out", formats=("gif",))
     assert _names(tmp_path) == []
@@ -184,7 +184,7 @@ def test_a_read_only_folder_is_an_error_with_advice(weak_user: Path) -> None:
 
 @pytest.mark.parametrize("failing", range(2))
 def test_a_full_disk_leaves_the_old_report(old: Path, monkeypatch: pytest.MonkeyPatch, failing: int) -> None:
-    """It does not matter which file no longer fits."""
+    """The disk is full at the first or at the second file."""
     before = _contents(old)
     calls = iter(range(100))
 

@@ -61,7 +61,7 @@ def test_jitter_changes_neither_rate_nor_gaps(share: float) -> None:
 
 @pytest.mark.parametrize("jitter", [0.0, 0.02, 0.1])
 def test_gaps_are_found_at_their_places(jitter: float) -> None:
-    """Their sizes are 100, 1 and 2 samples."""
+    """The gaps have 100, 1 and 2 samples."""
     noise = np.random.default_rng(2).normal(0, jitter * TAU, N)
     kept = np.delete(shifted(noise), [*range(1000, 1100), 5000, 9000, 9001])
     reading = read(kept)
@@ -199,7 +199,7 @@ def test_decreasing_stamps_are_replaced_by_log_time() -> None:
 
 
 def test_single_zero_stamps_are_interpolated() -> None:
-    """Their samples are kept."""
+    """The samples with a stamp of zero are kept."""
     stamps = EVEN.copy()
     stamps[[0, 77]] = 0
     reading = read(stamps, EVEN)

@@ -261,7 +261,7 @@ def test_log_time_gives_the_missing_samples_at_a_reset() -> None:
 
 
 def test_segments_are_between_breaks() -> None:
-    """They count the kept samples; their offsets count all samples of the grid."""
+    """A segment counts the kept samples; its offset counts all samples of the grid."""
     breaks = Breaks(at=np.array([3, 8]), missing=np.array([2, 5]), doubled=np.array([6, 1]))
     assert _segments(12, breaks, breaks.missing, {10: 4}) == (
         Segment(start=0, stop=2, offset=0),

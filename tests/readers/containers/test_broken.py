@@ -367,7 +367,7 @@ def test_a_missing_file_is_reported_with_the_reason(tmp_path: Path) -> None:
 
 
 def test_a_log_without_messages_is_refused(tmp_path: Path) -> None:
-    """Such a log remains if the recorder is started and stopped at once."""
+    """A recorder that is started and stopped at once leaves such a log."""
     path = write_mcap(tmp_path / "log.mcap", imu_messages(samples(1))[:0])
     with pytest.raises(ReadError) as caught:
         read(path)

@@ -120,7 +120,7 @@ def test_a_message_ends_within_its_chunk(length: int, complete: bool, mcap_of: M
 def test_reading_records_stops_at_the_first_incomplete_one(
     raw: bytes, expected: dict[int, list[int]]
 ) -> None:
-    """It also ends at zeros, and skips other records."""
+    """Zeros end the reading too; other records are skipped."""
     assert walk_records(raw) == expected
 
 

@@ -75,7 +75,7 @@ def opened(held: Held, **parts: object) -> Iterator[McapFile]:
 
 
 def test_the_index_describes_a_file(held: Held) -> None:
-    """It contains topics, types, counts, and first and last times. The checksum is optional."""
+    """The index contains topics, types, counts, and first and last times. The checksum is optional."""
     for crc in (0, None):
         with opened(held, crc=crc) as file:
             assert file.findings == []
@@ -156,7 +156,7 @@ def test_an_empty_file_has_channels_and_no_chunks(held: Held) -> None:
 
 
 def test_the_shortest_file_has_only_magic_and_footer(held: Held) -> None:
-    """It has no index and no channel; a shorter file is not an MCAP file."""
+    """The file has no index and no channel; a shorter file is not an MCAP file."""
     for parts, reason in (
         ({"data": MAGIC, "summary": b"", "start": 0}, "the file has no index"),
         ({"data": b"", "summary": b"", "start": 0}, "the file does not start and end as an MCAP file"),
@@ -240,7 +240,7 @@ def test_a_message_index_of_another_channel_is_reported(held: Held) -> None:
     ids=["other opcode", "length", "size", "part of an entry", "other channel"],
 )
 def test_a_damaged_message_index_is_not_read(damaged: bytes, held: Held) -> None:
-    """Its chunk is searched record by record, and the damage is reported."""
+    """The chunk is searched record by record instead, and the damage is reported."""
     with opened(held, data=DATA[: -len(INDEXES[1])] + damaged) as file:
         assert file.findings == []
         *_, task = file.tasks(frozenset({7}))

@@ -130,7 +130,7 @@ def test_message_indexes_belong_to_the_previous_chunk(mcap_of: McapOf) -> None:
 
 
 def test_an_index_without_a_chunk_is_ignored(mcap_of: McapOf) -> None:
-    """Such indexes are at the start of the file, and after messages outside chunks."""
+    """The indexes are at the start of the file, and after messages outside chunks."""
     lonely = index(7, (10, 0))
     file = mcap_of(*HEAD, lonely, MESSAGES, lonely)
     assert counts(file) == {7: 2, 8: 1}
@@ -142,7 +142,7 @@ def test_the_messages_of_a_chunk_without_index_are_counted(mcap_of: McapOf) -> N
 
 
 def test_a_damaged_chunk_without_index_is_tried_when_messages_are_read(mcap_of: McapOf) -> None:
-    """Its loss is reported then: each channel may have messages in it."""
+    """The loss is reported when reading, because each channel may have messages in the chunk."""
     damaged = bytearray(chunk(MESSAGES))
     struct.pack_into("<Q", damaged, 25, 1)
     file = mcap_of(*HEAD, bytes(damaged), chunk(MESSAGES))
@@ -216,7 +216,7 @@ def test_definitions_in_a_chunk_are_used(raw: bytes, known: set[int], mcap_of: M
 def test_a_definition_above_the_size_limit_is_not_read(
     mcap_of: McapOf, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Such a size is damage."""
+    """A definition of megabytes is damage."""
     size = len(channel(9)) - 9
     monkeypatch.setattr(mcap, "_MAX_DEFINITION", size)
     assert set(counts(mcap_of(MAGIC, channel(9), channel(10, b"/longer")))) == {9}

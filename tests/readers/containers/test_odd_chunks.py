@@ -82,7 +82,7 @@ def test_header_fields_can_have_any_order(tmp_path: Path) -> None:
 
 
 def test_a_message_of_an_unknown_connection_is_lost_and_reported(tmp_path: Path) -> None:
-    """Its chunk is searched record by record, and all other messages are read."""
+    """The chunk is searched record by record, and all other messages are read."""
     recording = read(changed(bag(tmp_path), lambda head: head.replace(b"conn=\0", b"conn=\7")))
     assert {"index"} <= codes(recording)
     expected = np.delete(TRUTH.all, ODD, axis=0)

@@ -85,7 +85,7 @@ def test_messages_of_a_chunk_can_have_different_sizes(held: Held) -> None:
 
 
 def test_the_fields_of_a_header_can_have_any_order(held: Held) -> None:
-    """Such a message is parsed separately, and nothing is reported."""
+    """A message with another order is parsed separately, and nothing is reported."""
     other = record(2, {b"time": stamp(5), b"conn": b"\x01\0\0\0"}, b"abc")
     batch = loaded(held, chunk(other + message(1, 6, b"def")), index(1, (5, 0), (6, len(other))))[1]
     assert (payloads(batch), batch.loss) == ([b"abc", b"def"], None)
@@ -116,7 +116,7 @@ def test_a_damaged_header_is_reported(at: int, held: Held) -> None:
     ],
 )
 def test_a_wrong_index_record_is_not_used(first: int, last: int, held: Held) -> None:
-    """It points beyond the chunk, into a record, to another connection, or twice to a message."""
+    """An entry points beyond the chunk, into a record, to another connection, or twice to a message."""
     batch = loaded(held, chunk(RAW), index(1, (SECOND + 5, first), (2 * SECOND + 6, last)), TWO)[1]
     assert payloads(batch) == [b"abcd", b"efgh"]
     assert batch.log_ns.tolist() == [SECOND + 5, 2 * SECOND + 6]
@@ -196,7 +196,7 @@ def test_reading_records_stops_at_the_first_incomplete_one(end: bytes) -> None:
 
 
 def test_a_message_without_a_time_is_read(held: Held) -> None:
-    """Its recording time is 0."""
+    """The recording time of the message is 0."""
     bare = record(2, {b"conn": b"\x01\0\0\0"}, b"yz")
     batch = loaded(held, chunk(bare + record(9, {b"conn": b"\x01\0\0\0"})))[1]
     assert (payloads(batch), batch.log_ns.tolist()) == ([b"yz"], [0])

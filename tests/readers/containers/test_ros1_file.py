@@ -140,7 +140,7 @@ def test_a_scan_counts_the_messages_of_a_chunk_without_index_records(held: Held)
 
 
 def test_a_damaged_index_record_has_no_times(held: Held) -> None:
-    """Its connection still has messages in the chunk."""
+    """The connection of the record still has messages in the chunk."""
     damaged = record(4, {b"conn": b"\x01\0\0\0"}, bytes(25))
     found = scanned(held, chunk(RAW), damaged)
     found.close()
@@ -189,7 +189,7 @@ def test_a_truncated_chunk_is_lost(held: Held) -> None:
 
 
 def test_a_damaged_chunk_without_index_records_is_tried_when_messages_are_read(held: Held) -> None:
-    """Its loss is reported then; the number of its messages is unknown."""
+    """The loss is reported when reading; the number of lost messages is unknown."""
     found = scanned(held, chunk(RAW, size=1), CHUNK)
     assert [finding.code for finding in found.findings] == ["unindexed"]
     assert [channel.count for channel in found.channels] == [None]
@@ -212,7 +212,7 @@ def test_a_bag_with_unknown_compression_is_refused(held: Held) -> None:
 
 
 def test_a_time_has_eight_bytes() -> None:
-    """They are seconds and nanoseconds; a missing time is 0."""
+    """The bytes are seconds and nanoseconds; a missing time is 0."""
     assert Record({b"time": stamp(3 * SECOND + 4)}, 0, 0).time_ns(b"time") == 3 * SECOND + 4
     assert Record({}, 0, 0).time_ns(b"time") == 0
     assert ros1._MAX_INDEX == 2**31

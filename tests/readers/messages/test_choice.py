@@ -57,7 +57,7 @@ def test_several_imu_topics_are_refused_with_a_list(tmp_path: Path) -> None:
 
 
 def test_each_sensor_of_a_realsense_is_read_from_its_topic(tmp_path: Path) -> None:
-    """Both topics have their own rate and one sensor. They keep their clocks, without interpolation."""
+    """Each topic has one sensor and its own rate. The clocks stay separate, without interpolation."""
     gyro, accel = samples(400, rate=400.0), samples(63, rate=63.0, seed=8)
     messages = merged(
         imu_messages(only(gyro, Sensor.GYROSCOPE), topic="/camera/gyro/sample"),
@@ -134,7 +134,7 @@ def test_plain_vectors_are_read_only_if_named(tmp_path: Path) -> None:
 
 
 def test_two_nameless_vectors_are_gyroscope_and_accelerometer_in_that_order(tmp_path: Path) -> None:
-    """Neither topic has a sensor in its name, so the order of the options decides."""
+    """No topic has a sensor in its name, so the order of the options decides."""
     messages = merged(vectors("/a", TRUTH.gyro), vectors("/b", TRUTH.accel))
     recording = read(write_mcap(tmp_path / "log.mcap", messages), topic=["/a", "/b"])
     assert np.array_equal(recording.axis("gyroscope", "x").samples, TRUTH.gyro[:, 0])
@@ -228,7 +228,7 @@ def test_messages_recorded_twice_are_read_once(tmp_path: Path) -> None:
 def test_the_temperature_in_the_namespace_of_the_imu_is_read(
     name: str, found: object, tmp_path: Path
 ) -> None:
-    """It is a separate topic; topics in other namespaces can belong to other devices."""
+    """The temperature has a separate topic; topics in other namespaces can belong to other devices."""
     types = store()
     kind = "sensor_msgs/msg/Temperature"
     heat = types.types[kind]

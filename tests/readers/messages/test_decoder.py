@@ -74,7 +74,7 @@ def test_a_string_of_another_length_shifts_the_next_fields(code: int | None, tex
 
 
 def test_messages_outside_the_buffer_are_damaged() -> None:
-    """They start before the buffer, or end one byte after it."""
+    """The messages start before the buffer, or end one byte after it."""
     complete = batch(payload(0, 1), payload(1, 1))
     before = replace(complete, starts=np.array([complete.starts[0], -1]))
     for wrong in (before, replace(complete, buffer=bytes(complete.buffer[:-1]))):

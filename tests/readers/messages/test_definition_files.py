@@ -69,7 +69,7 @@ def test_definitions_of_a_folder_of_packages_are_used(tmp_path: Path) -> None:
 
 
 def test_definition_files_can_be_given_one_by_one(tmp_path: Path) -> None:
-    """Their order is free, and a file outside a package has its own name as type."""
+    """The order of the files is free, and a file outside a package has its own name as type."""
     path, folder = log(tmp_path), package(tmp_path)
     files = sorted(folder.rglob("*.msg"), reverse=True)
     check(read(path, message_definition=files))

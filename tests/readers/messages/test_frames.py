@@ -11,7 +11,7 @@ from tests.readers.logs import CONTAINERS, imu_messages, samples, write_mcap
 
 @pytest.mark.parametrize("container", CONTAINERS)
 def test_every_container_contains_the_frame(container: str, tmp_path: Path) -> None:
-    """It is one of the decisions of a recording."""
+    """The frame is one of the decisions of a recording."""
     path = CONTAINERS[container](tmp_path, samples(20))
     assert dict(read(path).source.decisions)["frame"] == "imu"
 

@@ -158,7 +158,7 @@ def test_after_many_damaged_messages_a_batch_is_not_halved_further(n: int, tried
 
 
 def test_losses_do_not_depend_on_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They keep the order of the chunks, and the first ones are kept."""
+    """Losses keep the order of the chunks, and the first ones are kept."""
     # The first of two neighbours takes longer.
     tasks = [task({1: batch([1])}), task({1: batch([81, 82])}, wait_s=0.03), task({1: batch([91, 92])})]
     for row in range(8):

@@ -68,7 +68,7 @@ def time_of(sensor: SensorPlan) -> tuple[str, int | None] | None:
     ],
 )
 def test_three_numbers_are_a_vector(text: str, gyro: tuple[str, ...] | None) -> None:
-    """They are an array, a structure or three fields; quaternions and angles do not count."""
+    """The numbers are an array, a structure or three fields; quaternions and angles do not count."""
     topic = found(text)
     assert topic.sensors == (() if gyro is None else (GYRO,))
     if gyro is not None:
@@ -85,7 +85,10 @@ def test_three_numbers_are_a_vector(text: str, gyro: tuple[str, ...] | None) -> 
     ],
 )
 def test_units_are_certain_only_in_known_types(name: str, gyro: str, accel: str, *, stated: bool) -> None:
-    """These are types of ROS and PX4, and fields with the same names; other units are inferred."""
+    """Known types are those of ROS and PX4, and fields with the same names.
+
+    Units of other types are inferred.
+    """
     plan = planned(found(f"geometry_msgs/Vector3 {gyro}\ngeometry_msgs/Vector3 {accel}\n" + V3, name=name))
     units = [(one.stated.unit, one.stated.reason) if one.stated else None for one in plan.sensors]
     known = [("rad/s", "from the message type"), ("m/s^2", "from the message type")]
@@ -109,7 +112,7 @@ def test_a_unit_in_a_name_overrides_the_type() -> None:
 
 
 def test_several_imus_in_a_message_require_a_choice() -> None:
-    """Each one can be named and has its own stamp."""
+    """Each IMU can be named and has its own stamp."""
     topic = found("pkg/Imu left\npkg/Imu right\n" + IMU)
     assert topic.sensors == (GYRO, ACCEL)
     with pytest.raises(
@@ -151,7 +154,7 @@ def test_separate_fields_can_form_one_imu() -> None:
     ],
 )
 def test_the_name_of_a_topic_can_contain_one_sensor(topic: str, sensor: Sensor | None) -> None:
-    """Such a topic is read only if the user names it."""
+    """A topic with a sensor in its name is read only if the user names it."""
     one = found("float64 x\nfloat64 y\nfloat64 z", name="geometry_msgs/msg/Vector3", topic=topic)
     assert one.sensors == ((sensor,) if sensor else ())
     assert one.plain == bool(one.sensors)

@@ -195,7 +195,7 @@ def test_a_columns_text_is_proposed_for_an_unrecognised_sensor(tmp_path: Path) -
 
 
 def test_a_list_of_structures_is_read_only_if_it_is_named(tmp_path: Path) -> None:
-    """It is unknown which element is the IMU; the error explains what to do."""
+    """The IMU could be any element of the list; the error explains what to do."""
     path = several(tmp_path)
     message = refused(path)
     assert message == (

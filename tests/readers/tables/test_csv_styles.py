@@ -87,7 +87,7 @@ def test_sensors_of_one_table_share_a_clock(tmp_path: Path) -> None:
     ("name", "expected"), [("ArduPilot", 31.5), ("WitMotion", 25.1), ("VectorNav INSTINCT", 21.5)]
 )
 def test_a_temperature_column_is_read(name: str, expected: float, tmp_path: Path) -> None:
-    """It has the clock of the sensor."""
+    """The temperature has the clock of the sensor."""
     style = next(style for style in STYLES if style.name == name)
     recording = read(write(style, tmp_path), options(style))
     assert recording.temperature is not None

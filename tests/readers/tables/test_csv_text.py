@@ -311,7 +311,7 @@ def backing(array: FloatArray) -> bool:
 
 
 def test_progress_increases_to_the_file_size(tmp_path: Path) -> None:
-    """Each call gets the number of bytes read and the total."""
+    """Each progress call gets the number of bytes read and the total."""
     calls: list[tuple[int, int]] = []
     path = store(tmp_path, plain())
     read(path, ReadOptions(progress=lambda done, size: calls.append((done, size))))
@@ -354,7 +354,7 @@ def test_a_missing_file_is_a_read_error(tmp_path: Path) -> None:
 
 
 def test_a_line_of_megabytes_is_refused(tmp_path: Path) -> None:
-    """Such a line is no row and must not fill the memory."""
+    """A line of that size is no row and must not fill the memory."""
     content = plain().encode() + b"1" * (12 << 20)
     with pytest.raises(ReadError, match="a line of more than 1048576 bytes; expected rows of a table"):
         read(store(tmp_path, content), ReadOptions())
@@ -375,7 +375,7 @@ def test_the_first_rows_describe_a_large_file(
 
 
 def test_an_ambiguous_table_is_described_with_the_reason(tmp_path: Path) -> None:
-    """Such a table has columns that can be listed; a file that is no table is an error."""
+    """An ambiguous table has columns that can be listed; a file that is no table is an error."""
     content = lines("time (s),x,y,z", seconds(truth()), *xyz(truth().gyro))
     (topic,) = text_table.describe(store(tmp_path, content), ReadOptions()).topics
     assert topic.sensors == ()

@@ -158,7 +158,7 @@ def test_missing_parts_of_a_dialect_are_reported(
 def test_an_unrecognised_sensor_of_a_dialect_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each sensor of its example must be read."""
+    """Each sensor in the example of a dialect must be read."""
     half = replace(ACME, headers=("turn_gyro_x", "push_x"))
     example = replace(EXAMPLE, build=lambda true: _acme_text(true).replace("push_accel", "push"))
     monkeypatch.setattr(dialects, "DIALECTS", (*DIALECTS, half))

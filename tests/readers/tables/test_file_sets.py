@@ -49,7 +49,7 @@ def test_two_recordings_are_merged() -> None:
 
 
 def test_a_single_recording_is_only_renamed() -> None:
-    """It gets the name of the set."""
+    """The recording gets the name of the set."""
     gyro = recording(Sensor.GYROSCOPE, 7, "one")
     merged = merge([gyro], ["g.csv"], "folder")
     assert merged.source.path == "folder"
@@ -127,7 +127,7 @@ def test_a_file_name_can_be_given_as_topic(packed: bool, tmp_path: Path) -> None
 
 
 def test_two_files_of_one_sensor_require_a_choice(tmp_path: Path) -> None:
-    """Neither file has a usual name."""
+    """No file has a usual name."""
     path = written(tmp_path, {"gyro_a.csv": table(GYRO), "gyro_b.csv": table(2 * GYRO)}, packed=True)
     with pytest.raises(ChoiceError) as caught:
         read(path)
@@ -140,7 +140,7 @@ def test_two_files_of_one_sensor_require_a_choice(tmp_path: Path) -> None:
 
 
 def test_columns_identify_the_sensor_of_a_file_without_a_sensor_name(tmp_path: Path) -> None:
-    """Such a file is ignored if other files have a sensor in their names."""
+    """The file is ignored if other files have a sensor in their names."""
     both = table(GYRO, "time,seconds_elapsed,gyro_z,gyro_y,gyro_x")
     path = written(tmp_path, {"one.csv": both, "notes.txt": "nothing\n"}, packed=False)
     assert [series.name for series in read(path, gyro_unit="rad/s").series] == ["gyro_x", "gyro_y", "gyro_z"]

@@ -88,7 +88,7 @@ def test_a_single_axis_next_to_a_complete_sensor_is_reported(tmp_path: Path) -> 
 
 
 def test_two_axes_with_mixed_units_or_numbers_are_refused(tmp_path: Path) -> None:
-    """It is unknown which unit is wrong, or whether the numbers start at 0 or 1."""
+    """The wrong unit is unknown, and so is whether the numbers start at 0 or 1."""
     for header in ("t,xRate (rad/s),yRate (deg/s)", "t,gyro_1,gyro_2"):
         with pytest.raises(ChoiceError, match="expected x, y and z of one sensor"):
             read(write(tmp_path, header, TIMES, RATES[:, 0], RATES[:, 1]))
@@ -96,7 +96,7 @@ def test_two_axes_with_mixed_units_or_numbers_are_refused(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("columns", ["t=0,g=1+1+1", "t=0,g=1+2+1", "t=0,g=1:4,a=1:4"])
 def test_a_column_named_twice_is_refused(columns: str, tmp_path: Path) -> None:
-    """It would be scaled twice. The columns text in the error works."""
+    """The column would be scaled twice. The columns text in the error works."""
     path = write(tmp_path, "", TIMES, *RATES.T)
     with pytest.raises(ChoiceError, match="column 1 is named twice; for a log of one axis give gz=1 alone"):
         read(path, columns=columns, gyro_scale=0.5, accel_scale=0.5)

@@ -98,7 +98,7 @@ def test_parquet_columns_of_all_types_are_read(tmp_path: Path) -> None:
 def test_large_arrays_are_in_temporary_files(
     limit: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, mapped: bool
 ) -> None:
-    """Their values are equal."""
+    """Arrays in files have the same values as arrays in memory."""
     monkeypatch.setenv("IMUCAL_MEMORY", limit)
     parts = [("a", 1, [VALUES[0, :300], VALUES[0, 300:]]), ("text", 0, [np.array(["x", None])])]
     found = taken(written(parts, tmp_path / "arrays"), tmp_path / "arrays")

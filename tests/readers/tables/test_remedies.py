@@ -167,7 +167,7 @@ def test_a_table_without_three_numbers_gets_no_suggestion(tmp_path: Path) -> Non
 )
 @pytest.mark.parametrize("suffix", [".npy", ".npz"])
 def test_the_error_contains_the_shape_of_an_array(shape: str, suffix: str, tmp_path: Path) -> None:
-    """It also contains the form of a columns text."""
+    """The error also contains the form of a columns text."""
     both = np.stack([truth().gyro, truth().accel], axis=1)
     flat = both.reshape(-1, 6)
     array = {

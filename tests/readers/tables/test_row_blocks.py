@@ -88,7 +88,7 @@ def test_an_empty_cell_of_floats_is_nan() -> None:
     ],
 )
 def test_a_row_needs_every_required_cell(row: str, good: bool) -> None:  # noqa: FBT001 - of the case
-    """It must not have more cells than there are names."""
+    """A row must not have more cells than there are names."""
     blocks = reader()
     blocks.add(f"{row}\n".encode())
     assert (blocks.good, blocks.bad) == (int(good), int(not good))
@@ -113,7 +113,7 @@ def test_a_quoted_delimiter_belongs_to_the_cell(line: bytes, values: list[int]) 
 
 
 def test_bad_rows_are_counted_and_the_first_is_kept() -> None:
-    """It has up to 120 characters. Comments, blank lines and repeated headers are not bad."""
+    """The kept text has up to 120 characters. Comments, blank lines and repeated headers are not bad."""
     blocks = reader()
     bad = "x" * 130
     blocks.add(f"1,2,3\n# note\n% note\n// note\n; note\n\nt, x, y\n{bad}\nworse\n2,3,4\n".encode())

@@ -83,7 +83,7 @@ def test_without_finite_samples_no_unit_is_inferred() -> None:
 
 
 def test_known_steps_double_from_range_to_range() -> None:
-    """They are in deg/s per count."""
+    """Steps are in deg/s per count."""
     invensense = [1 / 262, 1 / 131, 2 / 131, 4 / 131, 8 / 131]
     bosch = [125 * 2**k / 32768 for k in range(6)]
     st = [0.004375, 0.00875, 0.0175, 0.035, 0.07, 0.14]

@@ -47,7 +47,7 @@ def test_a_unit_that_gives_the_rate_of_an_imu_is_used(step: float, fits: tuple[s
     ("start", "unit"), [(0.9e15, None), (1.1e15, "us"), (3.9e15, "us"), (4.1e15, None), (1.1e12, "ms")]
 )
 def test_a_time_since_1970_determines_its_unit(start: float, unit: str | None) -> None:
-    """It must be between 2001 and 2096, and the step fits several units."""
+    """The time must be between 2001 and 2096, and the step fits several units."""
     assert infer_time_unit(times(100.0, start))[0] == unit
 
 

@@ -68,7 +68,7 @@ def test_a_wrong_declared_rate_is_reported_once(
     given: float | None,
     differs: bool,  # noqa: FBT001
 ) -> None:
-    """It must differ by 2 %. No finding is needed if the user gave a rate."""
+    """The rate must differ by 2 %. No finding is needed if the user gave a rate."""
     at = work(stated, given)
     _compare_rates(at, 103.0)
     _compare_rates(at, 103.0)
@@ -116,7 +116,7 @@ def test_a_column_that_increases_by_one_counts_samples_at_the_given_rate() -> No
 
 @pytest.mark.parametrize(("every", "used"), [(10, True), (9, False)])
 def test_nine_of_ten_steps_of_a_counter_must_be_one(every: int, used: bool) -> None:  # noqa: FBT001 - of the case
-    """Otherwise only the rate is used, and a finding reports that."""
+    """With fewer steps of one, only the rate is used, and a finding reports that."""
     steps = np.ones(90, dtype=np.int64)
     steps[::every] = 2
     at = work(given=100.0)

@@ -41,12 +41,12 @@ def shapes(name: str, array: Any) -> list[tuple[str, int]]:  # noqa: ANN401 - an
 def test_the_longer_dimension_of_a_matrix_contains_the_samples(
     shape: tuple[int, ...], expected: list[tuple[str, int]]
 ) -> None:
-    """It has up to 64 columns; a square matrix is not transposed."""
+    """A matrix has up to 64 columns; a square matrix is not transposed."""
     assert shapes("v", np.zeros(shape)) == expected
 
 
 def test_a_wide_matrix_is_transposed() -> None:
-    """Its rows become columns; without a name of the matrix, columns have no names."""
+    """The rows of the matrix become columns; without a name of the matrix, columns have no names."""
     array = np.arange(10.0).reshape(2, 5)
     assert [column.values.tolist() for column in _of_array("v", array)] == array.tolist()
     assert [column.name for column in _of_array("", array)] == ["", ""]
@@ -124,7 +124,7 @@ def test_structures_of_matlab_are_flattened() -> None:
 
 
 def test_hidden_names_of_matlab_are_not_columns(tmp_path: Path) -> None:
-    """They are the version and the header of the file."""
+    """The hidden names are the version and the header of the file."""
     path = tmp_path / "log.mat"
     scipy.io.savemat(path, {"gyro": np.zeros((9, 3)), "rate": 100.0})
     found = open_table(path)
@@ -157,7 +157,10 @@ def test_cells_of_arrays_look_like_cells_of_a_text() -> None:
 
 
 def test_lists_of_parquet_become_columns(tmp_path: Path) -> None:
-    """Their number is that of the longest list, at most 64; structures have a column for each field."""
+    """The number of columns is that of the longest list, at most 64.
+
+    A structure has a column for each field.
+    """
     path = tmp_path / "log.parquet"
     lists = [[1.0, 2.0], [3.0], [4.0, 5.0, 6.0]]
     fields = [{"x": 1.0}, {"x": 2.0}, {"x": None}]

@@ -20,7 +20,7 @@ from imucal.readers.tables.typed_table import _of_array
     ],
 )
 def test_rows_of_ros2_topic_echo_are_recognised(start: list[str], width: int, fits: bool) -> None:  # noqa: FBT001 - of the case
-    """Such a row has seconds, nanoseconds, a frame name, and then only numbers."""
+    """A row has seconds, nanoseconds, a frame name, and then only numbers."""
     row = (*start, *["0.5"] * (width - len(start)))
     assert _is_ros2(TextLayout(width=width, rows=(row,))) == fits
 

@@ -122,7 +122,7 @@ def opened(data: bytes, size: int | None) -> TextSource:
 def test_the_expected_number_of_lines_is_the_size_divided_by_their_length(
     data: bytes, size: int | None, rows: int
 ) -> None:
-    """It is unknown if the size or the length of a line is unknown."""
+    """The number is unknown if the size or the length of a line is unknown."""
     assert opened(data, size).expected_rows == rows
 
 

@@ -220,7 +220,7 @@ def test_the_unit_of_a_time_is_read_from_its_name(name: str, ns: int | None) -> 
 
 
 def test_a_dialect_sets_the_units_of_its_columns() -> None:
-    """It overrides the units in the names of these columns."""
+    """The dialect overrides the units in the names of these columns."""
     known = Dialect(name="Ours", headers=(), time_ns=(("stamp", 100), ("time (us)", 7)))
     columns = {'"#stamp"': ON, "time (us)": ON, "time (ms)": ON}
     found = [time_of_columns(table(columns, known), [index]) for index in range(3)]

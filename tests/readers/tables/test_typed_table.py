@@ -130,7 +130,7 @@ def test_samples_of_typed_tables_are_exact(name: str, writer: Callable[[Path], N
 
 
 def test_the_structure_of_navego_is_read(tmp_path: Path) -> None:
-    """It has fb in m/s^2, wb in rad/s, t in s and freq in Hz."""
+    """NaveGo has fb in m/s^2, wb in rad/s, t in s and freq in Hz."""
     path = tmp_path / "imu.mat"
     scipy.io.savemat(
         path, {"imu": {"t": np.array(truth().ns) * 1e-9, "fb": ACCEL, "wb": GYRO, "freq": 100.0}}
@@ -173,7 +173,7 @@ def test_a_matrix_without_names_needs_a_columns_text(tmp_path: Path) -> None:
 
 
 def test_rows_with_empty_cells_are_skipped(tmp_path: Path) -> None:
-    """They belong to another topic."""
+    """Rows with empty sensor cells belong to another topic."""
     path = tmp_path / "log.parquet"
     table = pl.DataFrame(named())
     other = pl.DataFrame({"timestamp": STAMPS + 3_000_000})

@@ -175,7 +175,7 @@ def test_deg_per_s_is_suggested_only_at_rest(
 
 
 def test_a_noise_of_tens_of_degrees_suggests_mdeg(tmp_path: Path) -> None:
-    """Such a noise is too large even for deg/s."""
+    """The noise is too large even for deg/s."""
     path = write(
         tmp_path / "log.csv", TIME, *(6e4 * GYRO).T, *ACCEL.T, header="t (s),gx,gy,gz,ax (g),ay (g),az (g)"
     )

@@ -237,7 +237,7 @@ def combined(path: Path, **options: Any) -> Recording:  # noqa: ANN401 - options
 
 
 def test_a_flight_log_has_one_clock(tmp_path: Path) -> None:
-    """Its stamps are complete, and there is no recording time."""
+    """The stamps of the log are complete, and there is no recording time."""
     first = combined(tmp_path, time="header").series
     assert {series.clock.source for series in first} == {"timestamp of sensor_combined"}
     with pytest.raises(
@@ -258,7 +258,7 @@ def test_sensors_with_equal_stamps_share_a_clock(tmp_path: Path) -> None:
 
 
 def test_a_sensor_without_samples_is_left_out(tmp_path: Path) -> None:
-    """Its integrals have a duration of zero. The other sensor is read."""
+    """Integrals over zero time give no sample. The other sensor is read."""
     log = Writer()
     log.format("vehicle_imu", INTEGRALS)
     log.add("vehicle_imu")
