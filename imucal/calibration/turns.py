@@ -172,7 +172,7 @@ def direction_covariance(
 
 def _carry(data: TurnData, C: FloatArray) -> _Carried:
     t, n, _ = data.rates.shape
-    steps = rotations(-data.tau0 * data.rates @ C.T)
+    steps = rotations(-_rotation_vectors(data.tau0 * data.rates @ C.T))
     to_end = np.empty((n, t, 3, 3))
     whole = np.broadcast_to(np.eye(3), (t, 3, 3))
     for k in range(n - 1, -1, -1):
@@ -191,6 +191,18 @@ def _carry(data: TurnData, C: FloatArray) -> _Carried:
     J = np.einsum("tcj,tjil->tcil", lever, products.reshape(t, 3, 3, 3)).reshape(2 * t, 9)
     residual = np.einsum("tci,ti->tc", tangents, carried - target)
     return _Carried(residual=residual, J=J, whole=whole, to_end=to_end, tangents=tangents, lever=lever)
+
+
+def _rotation_vectors(angles: FloatArray) -> FloatArray:
+    """Return the rotation of each sample, shape (t, n, 3), of order 4 in the period.
+
+    `angles` is rate times period. The rate and its axis change within a sample; beyond a turn it is zero.
+    Source: Magnus (1954), Communications on Pure and Applied Mathematics 7, 649, the first two terms.
+    """
+    before, after = np.zeros_like(angles), np.zeros_like(angles)
+    before[:, 1:], after[:, :-1] = angles[:, :-1], angles[:, 1:]
+    curved = after - 2 * angles + before
+    return np.asarray(angles + (curved + np.cross(angles, after - before)) / 24)
 
 
 def _gauss_newton(

@@ -3,12 +3,13 @@
     python tests/benchmarks/calibration.py [--records N] [--seed S] [--only PART...]
 
 Parts: accelerometer, gyroscope, faults, fixture, real; and, by the whole command, hand, gauss-markov, earth,
-warming, faces, sensitivity, frames.
+warming, faces, fast, sensitivity, frames.
 """
 
 import argparse
 from collections import defaultdict
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -464,6 +465,26 @@ def faces(records: int, seed: int) -> None:
         twice(f"{count} rests on the faces first", range(seed, seed + records), draw, noise, codes)
 
 
+def fast(records: int, seed: int) -> None:
+    """Print coverage for turns of 0.6 s at low sampling rates, without a noise report."""
+    noise = of_sensor("consumer")
+    for every in (1, 2, 4):
+
+        def draw(rng: np.random.Generator, every: int = every) -> tuple[Truth, Log]:
+            truth = Truth.draw(rng)
+            one = log(truth, noise, attitudes(16, rng), rng, latitude=LATITUDE, turn_s=0.6, yaw=1.0)
+            parts = (one.accelerometer, one.gyroscope, one.f)
+            accelerometer, gyroscope, f = (part[::every] for part in parts)
+            return truth, replace(one, accelerometer=accelerometer, gyroscope=gyroscope, f=f)
+
+        def run(one: Log, _: np.random.Generator, every: int = every) -> Calibration:
+            return calibrate(one.recording(RATE / every), None, LATITUDE, gravity=GRAVITY)
+
+        whole(
+            f"turns of 0.6 s at {RATE / every:g} Hz", range(seed, seed + records), draw, run, ("turn-wrong",)
+        )
+
+
 def sensitivity(records: int, seed: int) -> None:
     """Print coverage for small g-sensitivities, which are not significant and then set to 0."""
     noise = of_sensor("consumer")
@@ -595,7 +616,7 @@ def main() -> None:
     parts = {
         "accelerometer": accelerometer, "gyroscope": gyroscope, "faults": faults, "fixture": fixture,
         "hand": hand, "gauss-markov": gauss_markov, "earth": earth, "warming": warming,
-        "faces": faces, "sensitivity": sensitivity, "frames": frames,
+        "faces": faces, "fast": fast, "sensitivity": sensitivity, "frames": frames,
     }  # fmt: skip
     parser.add_argument("--only", nargs="*", default=[*parts, "real"])
     options = parser.parse_args()
