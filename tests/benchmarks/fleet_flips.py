@@ -35,7 +35,7 @@ def main() -> None:
     print(f"{len(found)} damages: {', '.join(f'{table} {n}' for table, n in sorted(tables.items()))}")
     print(f"silent: {len(silent)}")
     for damage in silent:
-        print(f"  {damage.file}, {damage.what}, {damage.command}: {damage.said}")
+        print(f"  {damage.file}, {damage.what}, {damage.command}: {damage.output}")
     sys.exit(bool(silent))
 
 
