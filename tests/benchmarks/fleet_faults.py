@@ -39,7 +39,7 @@ def main() -> None:
             begun = time.monotonic()
             try:
                 said = fault(bench)
-            except Exception as error:  # noqa: BLE001 - the table says which, and goes on
+            except Exception as error:  # noqa: BLE001 - the table contains the error, and the others run
                 failed += 1
                 line = traceback.extract_tb(error.__traceback__)[-1]
                 said = f"FAILED in {line.name}:{line.lineno} {line.line}: {type(error).__name__}: {error}"
