@@ -47,7 +47,7 @@ def test_a_line_that_was_not_printed_is_found() -> None:
 
 
 def test_numbers_of_a_block_are_renewed() -> None:
-    """They are those of the most similar place, and the line's spaces are kept."""
+    """They are copied from the most similar place, and the line's spaces are kept."""
     output = "x 0.34 [0.33,\n0.35] deg/h\nx 5 [4, 6] deg/h"
     assert renewed("x    0.3  [0.2, 0.5] deg/h", output) == "x    0.34  [0.33, 0.35] deg/h"
     assert renewed("y    0.3  [0.2, 0.5] deg/h\n", output) == "y    0.3  [0.2, 0.5] deg/h\n"
@@ -97,7 +97,7 @@ def test_the_pages_build_without_a_warning(tmp_path: Path) -> None:
 
 
 def test_every_finding_is_described() -> None:
-    """The codes in the source equal those of the page."""
+    """The source and the page contain the same codes."""
     written = {
         code
         for file in PACKAGE.rglob("*.py")
@@ -155,7 +155,6 @@ def test_a_stale_table_is_found() -> None:
 
 
 def test_the_source_of_each_format_is_in_the_table() -> None:
-    """The text equals that of the format."""
     from imucal.report.exports import TARGETS
 
     page = (DOCS / "results" / "config-files.md").read_text(encoding="utf-8")

@@ -64,7 +64,7 @@ def test_every_code_of_the_source_is_known() -> None:
 
 
 def test_a_good_recording_reports_the_precision_of_n() -> None:
-    """It is that of the widest interval."""
+    """The widest interval determines it."""
     errors = dict.fromkeys(AXES, 0.002) | {"accel_z": 0.00432}
     assert sentence(errors=errors) == "Good: 6 of 6 axes are stationary noise, N to ±0.43 %"
     assert sentence() == "Good: 6 of 6 axes are stationary noise"

@@ -1,4 +1,4 @@
-"""Tests of parallel work: results equal those of sequential work."""
+"""Tests of parallel work: its results equal the results of sequential work."""
 
 import multiprocessing
 import os

@@ -139,7 +139,7 @@ def test_a_term_must_also_be_detectable() -> None:
 
 @pytest.mark.slow
 def test_records_of_the_planned_length_detect_the_term() -> None:
-    """Most records of the planned length estimate K as precisely as planned, a tenth of it detects few."""
+    """Most records of the planned length estimate K as precisely as planned; a tenth as long, few do."""
     model = NoiseModel.parse("N=1e-4 + K=1e-5")
     needed_s = plan(model, rate_hz=10, precision=0.12).needed_s
     rng = np.random.default_rng(7301)
@@ -163,7 +163,7 @@ def test_undetermined_terms_have_an_infinite_error() -> None:
 
 
 def test_a_plan_of_a_report_has_its_axes() -> None:
-    """Rate and length are those of the report; bounded terms are planned at their bounds."""
+    """It uses the report's rate and length; bounded terms are planned at their bounds."""
     report = consumer_report()
     found = plan(report)
     assert [axis.axis for axis in found.axes] == [axis.name for axis in report.axes]

@@ -28,7 +28,7 @@ def test_control_characters_are_escaped(text: str, escaped: str) -> None:
 
 @pytest.mark.parametrize("text", ["plain", "\x1b\x9b\x7f\u202e\u2028", "\U000e0041\ufeff", "\udce9"])
 def test_json_keeps_its_value(text: str) -> None:
-    """Escapes are those of JSON, with two beyond 16 bits."""
+    """JSON's own escapes are used, two of them for characters beyond 16 bits."""
     written = printable_json(json.dumps({"name": text}, ensure_ascii=False))
     assert written.isprintable()
     assert json.loads(written) == {"name": text}

@@ -93,7 +93,7 @@ def test_equal_records_rarely_differ(pools: list[PooledFit]) -> None:
 
 
 def test_a_different_record_is_found_and_widens_the_interval() -> None:
-    """N is 10 % larger in one record; the limits are much wider than those of equal records."""
+    """N is 10 % larger in one record; the limits are much wider than for equal records."""
     fits = [quick_fit(simulated(TEXT, 6000, 8, i)) for i in range(3)]
     odd = [*fits, quick_fit(simulated("N=1.1e-3 + K=4e-4", 6000, 8, 9))]
     same, pooled = imucal.pool(fits), imucal.pool(odd)
@@ -247,7 +247,7 @@ def test_a_barely_detected_random_walk_is_pooled_without_bias() -> None:
 
 
 def test_a_gauss_markov_term_keeps_its_correlation_time() -> None:
-    """It is that of the log's fit; other terms have none."""
+    """It equals the time in the log's fit; other terms have none."""
     fit = imucal.fit(
         imucal.AxisSeries.from_samples(simulated("N=1e-4 + GM(sigma=2e-3, T=2)", 20_000, 71), rate_hz=100.0),
         model="N + GM",

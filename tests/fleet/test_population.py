@@ -310,7 +310,7 @@ def test_no_logs_and_impossible_shares_are_rejected() -> None:
 
 
 def test_an_undetected_term_is_bounded() -> None:
-    """The logs know the square to 8 each, so the median unit and the spread are unknown.
+    """Each log's error of the square is 8, so the median unit and the spread are unknown.
 
     The limits still cover the truth: in five fleets, one miss may be chance, but not three.
     """
@@ -331,7 +331,7 @@ def test_an_undetected_term_is_bounded() -> None:
 
 @pytest.mark.slow
 def test_limits_of_a_weak_median_cover_it() -> None:
-    """Ten units know the square to 0.8 each; the posterior's tail towards zero does not bias the limits."""
+    """Ten units have an error of the square of 0.8; the posterior's tail to zero does not bias the limits."""
     found = [
         population(weak_fleet(np.random.default_rng([82, seed]), units=10, tau=0.3, error=0.8))
         for seed in range(8)

@@ -518,7 +518,7 @@ def test_pictures_label_odd_units(fleet: Fleet, page: html.HtmlElement) -> None:
 
 
 def test_an_odd_unit_is_listed_with_its_effect_on_the_bound(fleet: Fleet, page: html.HtmlElement) -> None:
-    """The page contains the bound without the odd unit, equal to that of a fleet without it."""
+    """The page contains the bound without the odd unit, equal to a fleet without it."""
     term = fleet.model()["gyro_z", "N"]
     others = imucal.population([log for log in term.logs if log.unit != "u07"])
     assert term.without_odd == others.tolerance

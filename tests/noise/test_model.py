@@ -122,7 +122,7 @@ def test_a_repeated_structure_is_rejected() -> None:
     ],
 )
 def test_common_abbreviations_of_terms_are_parsed(text: str, symbols: str) -> None:
-    """They are those of IEEE and GMWM in any case; the output has the symbols."""
+    """IEEE's and GMWM's abbreviations are accepted in any case; the output has the symbols."""
     assert structure_text(parse_structure(text)) == symbols
 
 

@@ -290,7 +290,7 @@ def test_a_second_term_is_estimated_from_three_points(size: int, *, known: bool)
 
 
 def test_the_kurtosis_of_white_noise_is_estimated_from_its_samples() -> None:
-    """It is at least that of the uniform law; a straight line or 100 samples do not determine it."""
+    """The uniform law is the lower limit; a straight line or 100 samples do not determine it."""
     coin = np.random.default_rng(1).choice([-1.0, 1.0], 100_000)
     assert _excess_kurtosis(AxisSeries.from_samples(coin, rate_hz=1.0)) == -1.2
     assert _excess_kurtosis(AxisSeries.from_samples(np.arange(200.0), rate_hz=1.0)) == 0.0

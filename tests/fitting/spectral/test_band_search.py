@@ -123,7 +123,7 @@ def test_white_noise_dominates_the_top_of_its_band() -> None:
 
 
 def _shaped(data: Ordinates, order: Order, response: FloatArray, white: float) -> Ordinates:
-    """Return ordinates whose power is exactly that of white noise behind a response."""
+    """Return ordinates with the exact power of white noise behind a response."""
     x = data.lam / data.top
     shape = (1 - data.lam / 4) ** order[1] / (1 + x[:, None] ** np.arange(1, order[0] + 1) @ response)
     return replace(data, power=data.size * white * shape)
@@ -336,7 +336,7 @@ def test_the_order_of_tried_descriptions(
 def test_a_filter_is_searched_if_a_term_hides_the_white_noise(
     given: tuple[str, ...] | None, behind: float | None, *, taken: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The search allows only ten times longer times; a given term, or one that hides it again, is kept."""
+    """It is searched with times above ten times that term's; a given or equally hidden result is not used."""
     masked, requested = replace(_band("masked"), masked=12.0), []
 
     def sound(search: _BandSearch, near: float | None) -> Band | None:

@@ -84,7 +84,7 @@ def test_a_coefficient_is_the_root_of_its_variance(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_correlation_time_is_in_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its limits are those of its logarithm."""
+    """Its limits are computed in the logarithm."""
     for key, samples in (("GM1", 10.0), ("GM2", 40.0)):
         time = found(monkeypatch)[key].correlation_time
         assert time is not None
@@ -96,7 +96,7 @@ def test_a_correlation_time_is_in_seconds(monkeypatch: pytest.MonkeyPatch) -> No
 def test_a_ramp_estimate_is_positive_and_the_model_keeps_its_sign(
     sign: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The limits are those of the absolute value, the lower first."""
+    """The limits are for the absolute value, the lower first."""
     item = found(monkeypatch, 0.5, 1.0, beta=sign * RAMP)["R"]
     ends = (2.5, 4.0) if sign > 0 else (2.0, 3.5)
     expected = np.array([3.0, *ends]) * UNIT / TAU0

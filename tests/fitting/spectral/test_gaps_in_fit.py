@@ -236,8 +236,8 @@ def test_the_scale_is_the_power_of_two_nearest_to_the_steps(size: float, scale: 
     assert scale_of(series_of(size * (np.arange(100.0) % 2))) == scale
 
 
-def test_the_limit_between_noise_and_rounding_is_a_relative_bend_of_1e_9() -> None:
-    """A ramp with steps of 1 has one sample off the line by 1e-8 (noise) or 1e-10 (rounding)."""
+def test_a_bend_of_1e_8_is_noise_and_of_1e_10_is_rounding() -> None:
+    """A ramp with steps of 1 has one sample off the line."""
     ramp = np.arange(100.0)
     assert scale_of(series_of(ramp + 1e-8 * (ramp == 50))) == 1.0
     with pytest.raises(DataError, match="are on one straight line"):

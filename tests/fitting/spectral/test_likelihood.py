@@ -139,7 +139,7 @@ def test_a_response_that_is_not_positive_has_no_likelihood() -> None:
 
 
 def test_unused_parameters_of_a_candidate_have_no_effect() -> None:
-    """A candidate has the same likelihood with extra columns, whatever their values."""
+    """A candidate has the same likelihood with extra columns of arbitrary values."""
     data = ordinates()
     own = models_of([("N", "GM")], data.names, poles=1)
     pair = models_of([("N", "GM"), ("N", "GM", "GM")], data.names, poles=1, room_poles=3)

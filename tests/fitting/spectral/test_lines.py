@@ -72,7 +72,7 @@ def test_a_strong_drift_is_not_a_line() -> None:
 def _level_of(
     square: FloatArray, bins: DctBins, kept: BoolArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the level near each bin and its degrees of freedom / 2, from the kept squares."""
+    """Return the level near each bin and its precision, from the kept squares."""
     weight = np.ones(square.size) if kept is None else kept.astype(np.float64)
     starts = bins.first - 1
     return _level(np.add.reduceat(square * weight, starts), np.add.reduceat(weight, starts), bins)

@@ -127,7 +127,7 @@ def test_the_start_and_the_bounds_of_a_search() -> None:
     ("curvature", "width"), [(100.0, 0.5 * 0.1), (1.0 + 1e-9, 0.5), (0.25, 1.0), (0.16, 1.0)]
 )
 def test_the_first_step_of_a_variance(curvature: float, width: float) -> None:
-    """It is half the deviation times u if the deviation is known, otherwise u or the smaller deviation."""
+    """It is half the relative standard error times u, at most u."""
     information = np.eye(CENTRE.size)
     information[SIGMA, SIGMA] = curvature
     step = search([SIGMA], information).width

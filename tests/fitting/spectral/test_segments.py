@@ -322,7 +322,7 @@ def test_the_unit_of_the_samples_does_not_matter() -> None:
 
 
 def test_segments_of_white_noise_in_another_order_have_the_same_q() -> None:
-    """Their N are the same numbers; only the record's own fit moves by a hair."""
+    """The segments have the same N; only the record's own fit changes slightly."""
     parts = np.split(np.random.default_rng(50).standard_normal(N), 8)
     one = fit(np.concatenate(parts), model="N").segments
     other = fit(np.concatenate([parts[i] for i in (3, 0, 7, 1, 6, 2, 5, 4)]), model="N").segments
@@ -331,14 +331,14 @@ def test_segments_of_white_noise_in_another_order_have_the_same_q() -> None:
     assert one["N"].statistic == pytest.approx(other["N"].statistic, rel=0.02)
 
 
-def test_heavy_tails_are_no_change() -> None:
-    """The mean squares of Student's t with 5 degrees of freedom vary more, and are allowed to."""
+def test_heavy_tails_are_not_reported_as_a_change() -> None:
+    """The mean squares of Student's t with 5 degrees of freedom vary more, and the test allows for it."""
     found = [fit(np.random.default_rng([51, i]).standard_t(5, N), model="N").segments for i in range(6)]
     assert sum(s is not None and bool(s.changing) for s in found) <= 1
 
 
-def test_gaps_and_segments_together() -> None:
-    """Long and short gaps in an accelerometer's stationary record: seven or eight segments, nothing found."""
+def test_a_stationary_record_with_gaps_has_no_finding() -> None:
+    """An accelerometer's record with long and short gaps has eight segments."""
     rng = np.random.default_rng(52)
     keep = rng.random(N) > 0.02
     keep[9000:9600] = False
@@ -352,7 +352,7 @@ def test_gaps_and_segments_together() -> None:
 
 
 def test_stationary_records_are_rarely_widened() -> None:
-    """Of 12 records of three truths: at most two (5 % would be 0.6; the chance of three is 2 %)."""
+    """At most 2 of 12 records of three truths are (0.6 are expected at 5 %; 3 have a probability of 2 %)."""
     truths = ("N=1e-3", "N=1e-3 + B=4e-4", "N=1e-3 + K=1e-4")
     wider = 0
     for i in range(12):
@@ -362,8 +362,8 @@ def test_stationary_records_are_rarely_widened() -> None:
     assert wider <= 2
 
 
-def test_a_calculation_that_fails_costs_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The fit stays as it is without segments, and a finding says that they were not looked at."""
+def test_a_failed_comparison_of_segments_keeps_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The estimates equal those of a fit with one segment, and a finding contains the error."""
 
     def failing(*_: object, **__: object) -> None:
         msg = "no"
