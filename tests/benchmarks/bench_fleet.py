@@ -135,8 +135,8 @@ def engine(folder: Path, *, logs: int, seconds: float) -> None:
             used = {name: sum(process.cpu_times()[:2]) for name, process in processes.items()}
             used["client"] -= before
             memory = {name: process.memory_info().rss / 1e6 for name, process in processes.items()}
-            told = ", ".join(f"{n} {memory[n]:.1f} MB {1e3 * used[n] / count.done:.3f} ms" for n in used)
-            print(f"{count.done:7} logs, {time.perf_counter() - begun:6.1f} s: {told}", flush=True)
+            figures = ", ".join(f"{n} {memory[n]:.1f} MB {1e3 * used[n] / count.done:.3f} ms" for n in used)
+            print(f"{count.done:7} logs, {time.perf_counter() - begun:6.1f} s: {figures}", flush=True)
 
         done = run_plan(plan, settings, progress=tell)
         assert (done.done, done.failed) == (logs, 0)

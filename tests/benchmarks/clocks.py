@@ -138,11 +138,11 @@ def verdict_of_pathology(case: Awkward) -> str:
         clock.n >= 0.998 * case.stamps.size - 2
         and abs(clock.missing - lost) <= 2 + gaps + (1e-3 + off) * lost
     )
-    told = " ".join(f.text for f in reading.findings if f.code in {"two-readings", "rate-changes"})
-    if _names(told, case.rate_hz):
+    messages = " ".join(f.text for f in reading.findings if f.code in {"two-readings", "rate-changes"})
+    if _names(messages, case.rate_hz):
         return f"warned: {off:.2%} off"
-    if told:
-        return f"wrong: warned without the rate: {told}"
+    if messages:
+        return f"wrong: warned without the rate: {messages}"
     # The least-squares slope of short trials with jitter is not more precise.
     sizes = np.diff(np.flatnonzero(np.diff(case.samples, prepend=-9, append=1 << 60) > 1))
     best = 4 * np.sqrt(12) * clock.jitter_s * clock.rate_hz / np.sqrt(float((sizes**3.0).sum()))
@@ -189,11 +189,11 @@ def main() -> None:
     found = Counter[str]()
     for _ in range(arguments.count):
         name, case = pathology(rng) if arguments.pathologies else drawn(rng)
-        said = verdict_of_pathology(case) if arguments.pathologies else verdict(case)
-        found[said.partition(":")[0]] += 1
-        if said != "right":
-            print(f"{name}: {said}")
-    print(", ".join(f"{count} {said}" for said, count in sorted(found.items())))
+        outcome = verdict_of_pathology(case) if arguments.pathologies else verdict(case)
+        found[outcome.partition(":")[0]] += 1
+        if outcome != "right":
+            print(f"{name}: {outcome}")
+    print(", ".join(f"{count} {outcome}" for outcome, count in sorted(found.items())))
 
 
 if __name__ == "__main__":

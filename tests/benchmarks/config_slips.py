@@ -71,13 +71,13 @@ def main() -> None:
                     rows = rows_of(render(one, "kalibr"), other, file)
                     right.update(f"{key.partition('_')[2]} {row.verdict}" for key, row in rows.items())
                     values = {key: row.measured.value or 0.0 for key, row in rows.items() if row.measured}
-                    for slip, (make, said) in SLIPS.items():
+                    for slip, (make, expected) in SLIPS.items():
                         for key, number in values.items():
                             wrong = {**values, key: make(number)}
                             text = "".join(f"{name}: {value!r}\n" for name, value in wrong.items())
                             row = rows_of(text, other, file)[key]
                             cell = f"{slip} {key.partition('_')[2]}"
-                            named[cell] += said in row.text
+                            named[cell] += expected in row.text
                             failed[cell] += row.verdict == "fail"
                 print(f"{minutes} min, {truth}: {dict(right)}")
                 print("  named, failed:", {cell: (named[cell], failed[cell]) for cell in failed}, flush=True)

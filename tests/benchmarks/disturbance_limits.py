@@ -75,7 +75,7 @@ def steps(records: int, seed: int) -> None:
             for _ in range(records)
         ]
         with_it, without = (np.array([gain for gain, _ in kind]) for kind in (stepped, clean))
-        found = [sum(said for _, said in kind) for kind in (stepped, clean)]
+        found = [sum(is_found for _, is_found in kind) for kind in (stepped, clean)]
         print(
             f"| {text} | {np.median(with_it):.0f} | {np.quantile(without, 1 - CHANCE):.0f} "
             f"| {power(with_it, without)} | {found[0]} | {found[1]} |",
@@ -107,11 +107,11 @@ def cycles(records: int, seed: int) -> None:
             found.append((period_s, *gains(samples, period_s)))
         period, best, known = np.array(found).T
         limits = np.quantile([best[records:], known[records:]], 1 - CHANCE_OF_CYCLES, axis=1)
-        told = best[:records] > limits[0]
+        exceeded = best[:records] > limits[0]
         part = np.digitize(period[:records], [300, 500, 700])
         print(
-            f"| {text} | {limits[0]:.1f} | {100 * told.mean():.0f} % "
-            f"| {' '.join(f'{100 * told[part == i].mean():.0f}' for i in range(4))} % "
+            f"| {text} | {limits[0]:.1f} | {100 * exceeded.mean():.0f} % "
+            f"| {' '.join(f'{100 * exceeded[part == i].mean():.0f}' for i in range(4))} % "
             f"| {100 * np.mean(known[:records] > limits[1]):.0f} % |",
             flush=True,
         )

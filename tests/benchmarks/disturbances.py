@@ -200,14 +200,14 @@ def table(records: int, seed: int) -> None:
         rng = np.random.default_rng([seed + 1, record])
         tone = 5e-3 * np.sin(np.pi / 2 * np.arange(2732) + rng.uniform(0, 6))
         try:
-            said = ", ".join(
+            outcome = ", ".join(
                 sorted(
                     {f.code for f in report(1.5e-4 * rng.standard_normal(2732) + tone, rate=40.0).findings}
                 )
             )
         except Exception as error:  # noqa: BLE001 - the error is the result
-            said = f"{type(error).__name__}: {error}"
-        print(f"| tone at rate/4 | | {said} |", flush=True)
+            outcome = f"{type(error).__name__}: {error}"
+        print(f"| tone at rate/4 | | {outcome} |", flush=True)
 
 
 def _counted(kinds: dict[str, Draw], records: int, n: int, seed: int) -> None:

@@ -229,8 +229,8 @@ def main() -> None:
             except subprocess.TimeoutExpired:
                 print("   no answer after 60 s")
                 continue
-            said = (done.stdout if typed.startswith("info") else done.stderr).strip()
-            lines = said.splitlines()
+            output = (done.stdout if typed.startswith("info") else done.stderr).strip()
+            lines = output.splitlines()
             for line in lines[:1] if asked.short else lines[:14]:
                 print(f"   {line}")
             print(f"   exit code {done.returncode}")

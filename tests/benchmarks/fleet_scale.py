@@ -87,13 +87,13 @@ def answer_by_one(store: FleetStore) -> None:
             if kind not in known:
                 small = one if kind == "UnitQuestion" else _of_few(one)
                 known[kind] = asdict(small.answer())
-            said = known[kind]
+            entry = known[kind]
             if kind == "TermQuestion":
                 every = dict.fromkeys(one.logs.rows["unit"])
-                few = said["population"]["units"]
+                few = entry["population"]["units"]
                 units = [{**few[i % len(few)], "unit": unit} for i, unit in enumerate(every)]
-                said = {**said, "population": {**said["population"], "units": units}}
-            texts.append(json.dumps(said))
+                entry = {**entry, "population": {**entry["population"], "units": units}}
+            texts.append(json.dumps(entry))
         return texts
 
     imucal.load_fleet(store.folder, ask=ask)

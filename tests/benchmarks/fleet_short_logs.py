@@ -55,8 +55,8 @@ def main() -> None:
         make_logs(folder / "logs", asked.logs)
         command = [sys.executable, "-m", "imucal", "fleet", "run", "logs", "--jobs", asked.jobs]
         for what in ([*command, "--labels", "{unit}/*.npz"], [*command, "--labels", "{unit}/*.npz"]):
-            told = _run(what, folder)
-            print(told, flush=True)
+            table = _run(what, folder)
+            print(table, flush=True)
         document = json.loads((folder / "fleet" / "fleet.json").read_text(encoding="utf-8"))
         print(json.dumps(document.get("counts", {}), indent=1))
         size = sum(path.stat().st_size for path in (folder / "fleet").rglob("*.parquet"))
@@ -78,11 +78,11 @@ def _run(command: list[str], folder: Path) -> str:
                 continue
             most, alone = max(most, sum(memory)), max(alone, memory[0])
             time.sleep(0.5)
-        said = process.stdout.read() if process.stdout else ""
+        output = process.stdout.read() if process.stdout else ""
     used = cpu_of_children() - before
     return (
         f"exit {process.returncode}, {used:.1f} s of CPU, {time.perf_counter() - begun:.1f} s, the command "
-        f"{alone / 1e6:.0f} MB, all processes {most / 1e6:.0f} MB\n{said}"
+        f"{alone / 1e6:.0f} MB, all processes {most / 1e6:.0f} MB\n{output}"
     )
 
 

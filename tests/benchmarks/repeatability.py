@@ -113,8 +113,8 @@ def control(model: str, records: int, seed: int) -> None:
         over = np.array([value for _, _, value, dof in found[symbol] if dof])
         dof = np.median([dof for _, _, _, dof in found[symbol]])
         spans = (np.quantile(values, [0.025, 0.5, 0.975]) for values in (shares, over) if values.size)
-        said = " · ".join(f"{middle:.3g} ({low:.3g} to {high:.3g})" for low, middle, high in spans)
-        cells.append(f"{said}, {dof:.0f} degrees of freedom")
+        intervals = " · ".join(f"{middle:.3g} ({low:.3g} to {high:.3g})" for low, middle, high in spans)
+        cells.append(f"{intervals}, {dof:.0f} degrees of freedom")
     print(f"| quarters, {records} simulated sets | {' | '.join(cells)} |", flush=True)
 
 
