@@ -150,7 +150,7 @@ def test_no_process_outlives_its_parent(tmp_path: Path, name: str) -> None:
         except KeyboardInterrupt:
             print("interrupted")
     """
-    with subprocess.Popen(  # noqa: S603 - this interpreter, and a text that stands here
+    with subprocess.Popen(  # noqa: S603 - this interpreter and a constant script
         [sys.executable, "-c", textwrap.dedent(script)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -159,7 +159,7 @@ def test_no_process_outlives_its_parent(tmp_path: Path, name: str) -> None:
     ) as process:
         until(lambda: len(list(tmp_path.iterdir())) == 2)
         if name == "SIGINT":
-            # A terminal sends the interrupt to all of them.
+            # A terminal sends the interrupt to all processes.
             os.killpg(process.pid, number)
         else:
             process.send_signal(number)

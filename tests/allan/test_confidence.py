@@ -239,7 +239,7 @@ def test_tails_of_a_record_with_gaps_use_adjacent_samples_only() -> None:
 
 
 def test_the_degrees_of_freedom_fall_with_the_square_of_the_inflation() -> None:
-    """An inflation of 2 leaves a quarter of them for samples with normal tails."""
+    """An inflation of 2 leaves a quarter of the degrees of freedom for samples with normal tails."""
     samples = np.random.default_rng(16).standard_normal(500)
     keep = np.ones(500, dtype=bool)
     keep[250] = False

@@ -20,7 +20,7 @@ def test_ordinates_agree_with_scipy(n: int) -> None:
 
 @pytest.mark.parametrize("n", [2, 3, 4, 5, 6, 7, 12, 15, 16, 36, 49, 97, 1000, 1001, 65_537, 120_000])
 def test_the_inverse_returns_the_samples(n: int) -> None:
-    """The ordinates include that of the mean."""
+    """The ordinate of the mean is included, so the inverse restores the offset of 3."""
     samples = np.random.default_rng(1400 + n).standard_normal(n) + 3.0
     found = four_step_idct(dct(samples, norm="ortho"))
     npt.assert_allclose(found, samples, rtol=0, atol=1e-14 * np.abs(samples).max())

@@ -61,7 +61,7 @@ def test_stationary_noise_has_no_variance_change() -> None:
 
 
 def test_short_and_constant_records_are_not_tested() -> None:
-    """They have too few windows, or no noise in one of them."""
+    """A short record has too few windows; samples without noise have no variance to compare."""
     assert find_variance_change(series(np.random.default_rng(25).standard_normal(3000))) is None
     half = np.concatenate([np.zeros(10_000), np.random.default_rng(26).standard_normal(10_000)])
     assert find_variance_change(series(half)) is None

@@ -120,7 +120,7 @@ def test_the_worst_axis_may_change_with_time() -> None:
 
 @pytest.mark.parametrize("symbol", ["K", "R"])
 def test_a_bound_only_affects_the_upper_limit(symbol: str) -> None:
-    """The value and the lower limit are those of the estimated terms."""
+    """The value and the lower limit depend only on the estimated terms."""
     observed = axis_report(GYRO, "x", "N=1e-3").fit
     found, unbounded = (
         imucal.drift(axis_report(GYRO, "x", "N=1e-3", bounds=bounds).fit) for bounds in ({symbol: 1e-3}, {})

@@ -41,7 +41,7 @@ def test_noise_of_the_fitted_kind_is_predicted() -> None:
 
 
 def test_the_observed_value_is_the_allan_deviation_of_the_half() -> None:
-    """It agrees to 5 %, and the prediction at 10 s is near that of the fit."""
+    """The prediction at 10 s also agrees with the fit, to 5 %."""
     series = series_of(noise(TRUTH, 21))
     fit = imucal.fit(series, model="N + B + K")
     for one in half_predictions(series, fit):

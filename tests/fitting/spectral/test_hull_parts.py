@@ -117,7 +117,7 @@ def test_at_most_sixteen_models_are_completed(monkeypatch: pytest.MonkeyPatch) -
 def test_replaceable_terms_are_listed_with_their_replacements(
     structures: list[Structure], fit: list[float], named: dict[str, tuple[str, ...]]
 ) -> None:
-    """Every model within 4 of the best likelihood has one of the two, and neither is in all of them."""
+    """Every model within 4 of the best likelihood has one of the two terms; neither term is in all models."""
     found = bounds._alternatives(_ranked(structures, [0.0] * len(fit), fit))
     assert {symbol: others for symbol, others in found.items() if others} == named
 

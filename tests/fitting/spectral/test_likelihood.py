@@ -120,8 +120,8 @@ def test_ramp_agrees_with_least_squares() -> None:
     assert found.beta_covariance[0, 0, 0] == pytest.approx(1 / (centred @ centred), rel=1e-9)
 
 
-def test_a_fixed_ramp_costs_half_its_squared_deviation() -> None:
-    """A ramp that is fixed one standard error from its estimate costs 1/2."""
+def test_a_fixed_ramp_adds_half_its_squared_deviation() -> None:
+    """The objective increases by 1/2 if the ramp is fixed one standard error from its estimate."""
     data = ordinates(text="N=1 + R=0.01")
     candidate = models_of([("N", "R")], data.names)
     free = evaluate(data, candidate, np.zeros((1, 4)))

@@ -177,7 +177,7 @@ def test_scales_maximise_the_likelihood(*, common: bool) -> None:
 
 
 def test_information_accounts_for_the_unknown_other_part() -> None:
-    """It is the inverse of the diagonal of the inverse 2 x 2 information, at the expected power."""
+    """The reference inverts the diagonal of the inverse 2 x 2 information at the expected power."""
     of = parts(power_of(np.random.default_rng(38), np.array([1.0, 1.0])))
     a, b = (of.varied[0] / (of.held[0] + of.varied[0].sum(axis=0)))[:, :40]
     matrix = 15.0 * np.array([[a @ a, a @ b], [a @ b, b @ b]])

@@ -225,7 +225,7 @@ def test_near_models_are_listed_with_their_distance() -> None:
     ],
 )
 def test_a_distinct_second_maximum_is_kept(objective: list[float], kept: list[int]) -> None:
-    """The best is kept, and the next one that is worse by more than 0.02 and less than 10."""
+    """The best maximum is kept, and the next one if it is worse by more than 0.02 and less than 10."""
     assert _distinct(np.arange(len(objective)), np.array(objective)) == kept
 
 
