@@ -1,4 +1,4 @@
-"""The fenced code blocks of a Markdown page: run as a reader would run them, and compared with the output."""
+"""Fenced code blocks of Markdown pages: they are run in order and compared with the output."""
 
 import contextlib
 import math
@@ -19,12 +19,12 @@ __all__ = ["Kept", "code_blocks", "fill_folder", "missing_lines", "renewed", "ru
 
 ROOT = Path(__file__).parents[1]
 
-#: A number within a word: not the 3 of accel3, nor the 2 of s^2.
+#: A number, unless it is part of a word such as accel3 or s^2.
 _NUMBER = re.compile(r"(?<![\w^.])\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 _FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-#: Commands that print a block and that the page does not show: `<!-- printed by: imucal …; imucal … -->`.
+#: Commands that print a block but are hidden on the page: `<!-- printed by: imucal …; imucal … -->`.
 _HIDDEN = re.compile(r"^<!-- printed by: (.*?) -->\n+```\w*\n(.*?)^```", re.MULTILINE | re.DOTALL)
-#: Numbers that are shown must be equal; of the eight digits in config files processors change the last.
+#: Relative tolerance of printed numbers: the last of eight digits depends on the processor.
 _EQUAL = 1e-6
 
 
@@ -34,7 +34,7 @@ def code_blocks(page: Path) -> list[tuple[str, str]]:
 
 
 class Kept:
-    """A command that is run once; when it stands in another page, its folder is copied from then."""
+    """A command that runs once; other pages copy its output folder."""
 
     def __init__(self, line: str, name: str) -> None:
         self._line = line
@@ -42,7 +42,7 @@ class Kept:
         self._made: Path | None = None
 
     def brought(self, line: str, folder: Path) -> bool:
-        """Copy what the command made into `folder`; False if it is another one, or the first time."""
+        """Copy the command's output to `folder`; return False for another command and for the first call."""
         if line != self._line:
             return False
         if self._made is None:
@@ -53,28 +53,28 @@ class Kept:
 
 
 def run_block(language: str, text: str, folder: Path, *, kept: Kept | None = None) -> str:
-    """Run a python block, the `imucal` lines of a console block, or save a toml block; return what was said.
+    """Run a python block or the `imucal` lines of a console block, or save a toml block; return the output.
 
-    Other lines of a console block (``pip install …``) are not run here, and not what was `kept`.
+    Other lines of a console block (``pip install …``) and the `kept` command are not run.
     """
     if language == "python":
         with contextlib.chdir(folder):
             exec(compile(text, "the block", "exec"), {"__name__": "__main__"})  # noqa: S102 - our own pages
     elif language == "console":
-        said = ""
+        printed_text = ""
         for line in re.sub(r"\\\n\s*", " ", text).splitlines():
             if line.startswith("imucal ") and not (kept and kept.brought(line, folder)):
-                said += _run(line, folder)
-        return said
+                printed_text += _run(line, folder)
+        return printed_text
     elif language == "toml":
         (folder / "limits.toml").write_text(text, encoding="utf-8")
     return ""
 
 
 def fill_folder(folder: Path, page: Path) -> None:
-    """Make what a page begins with: the sample logs, a `log.mcap`, and a table without a header, `plain.csv`.
+    """Create the inputs of a page: the sample logs, a `log.mcap`, and a table without a header, `plain.csv`.
 
-    The log has few samples, because its fit matters to no page.
+    The log has few samples, because no page depends on its fit.
     """
     shutil.copytree(ROOT / "sample_logs", folder / "sample_logs")
     short = ("--duration", "20s") if page.name == "README.md" else ("--rate", "10", "--duration", "6min")
@@ -94,7 +94,7 @@ def fill_folder(folder: Path, page: Path) -> None:
 def run_page(page: Path, folder: Path, *, kept: Kept | None = None) -> Iterator[tuple[str, str]]:
     """Run the blocks of a page in order; yield each printed block with all output and YAML files so far.
 
-    Blocks of the language `text` are printed, and in the README those of the language `yaml` too.
+    Printed blocks have the language `text`, and in the README also `yaml`.
     """
     hidden = {
         text: commands.split("; ") for commands, text in _HIDDEN.findall(page.read_text(encoding="utf-8"))
@@ -110,24 +110,24 @@ def run_page(page: Path, folder: Path, *, kept: Kept | None = None) -> Iterator[
             yield text, output + files
 
 
-def missing_lines(shown: str, output: str) -> list[str]:
-    """Return the lines of a block that are not in the output, however the output is wrapped."""
+def missing_lines(block: str, output: str) -> list[str]:
+    """Return the lines of a block that are not in the output, ignoring line breaks of the output."""
     words = output.split()
-    return [line for line in shown.splitlines() if not all(map(partial(_is_in, words), line.split("…")))]
+    return [line for line in block.splitlines() if not all(map(partial(_is_in, words), line.split("…")))]
 
 
 def _is_in(words: list[str], part: str) -> bool:
     return not part.strip() or next(_places(part, words), None) is not None
 
 
-def renewed(shown: str, output: str) -> str:
-    """Return a block with the numbers of the output; a line whose words are not in the output stays."""
+def renewed(block: str, output: str) -> str:
+    """Return a block with the numbers of the output; lines whose words are not in the output stay."""
     words = output.split()
-    return "\n".join(_with_numbers(line, words) for line in shown.split("\n"))
+    return "\n".join(_with_numbers(line, words) for line in block.split("\n"))
 
 
 def _places(line: str, words: list[str]) -> Iterator[int]:
-    """Yield where the words of a line are in the output, with equal numbers."""
+    """Yield the positions of a line's words with equal numbers in the output."""
     wanted = line.split()
     for start in _same_words(wanted, words):
         own, other = _numbers(wanted), _numbers(words[start : start + len(wanted)])
@@ -136,14 +136,14 @@ def _places(line: str, words: list[str]) -> Iterator[int]:
 
 
 def _with_numbers(line: str, words: list[str]) -> str:
-    """Return a line with the numbers of the place in the output that is most like it."""
+    """Return a line with the numbers of the most similar place in the output."""
     wanted = line.split()
     own = _numbers(wanted)
     places = {start: _numbers(words[start : start + len(wanted)]) for start in _same_words(wanted, words)}
-    likeness = {start: _distance(own, other) for start, other in places.items() if len(other) == len(own)}
-    if not own or not likeness:
+    distances = {start: _distance(own, other) for start, other in places.items() if len(other) == len(own)}
+    if not own or not distances:
         return line
-    start = min(likeness, key=lambda place: likeness[place])
+    start = min(distances, key=lambda place: distances[place])
     found = iter(_NUMBER.findall(" ".join(words[start : start + len(wanted)])))
     return _NUMBER.sub(lambda _: next(found), line)
 
@@ -153,7 +153,7 @@ def _distance(own: list[float], other: list[float]) -> float:
 
 
 def _same_words(wanted: list[str], words: list[str]) -> Iterator[int]:
-    """Yield where the output has the wanted words, whatever their numbers."""
+    """Yield the positions of the words in the output, ignoring numbers."""
     if not wanted:
         return
     plain, all_plain = [_NUMBER.sub("#", word) for word in wanted], [_NUMBER.sub("#", word) for word in words]
@@ -167,7 +167,7 @@ def _numbers(words: list[str]) -> list[float]:
 
 
 def _run_hidden(line: str, folder: Path) -> str:
-    """Run a command that may fail; other programs than imucal run in a shell."""
+    """Run a command that may fail; programs other than imucal run in a shell."""
     if line.startswith("imucal "):
         done = run(*shlex.split(line)[1:], cwd=folder)
         return done.stdout + done.stderr
@@ -176,7 +176,7 @@ def _run_hidden(line: str, folder: Path) -> str:
 
 
 def _run(line: str, folder: Path) -> str:
-    """Run a command line, whose output may go to a file; return what it printed."""
+    """Run a command line, with optional redirection to a file; return its output."""
     _, *words = shlex.split(line, comments=True)
     words, target = (words[:-2], words[-1]) if ">" in words else (words, None)
     done = run(*words, cwd=folder)

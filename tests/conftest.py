@@ -1,4 +1,4 @@
-"""Options and fixtures every test may use."""
+"""Options and fixtures for all tests."""
 
 import os
 import signal
@@ -22,29 +22,29 @@ __all__ = [
     "work_stays_here",
 ]
 
-# Before NumPy is imported, here and in the workers: its matrices are small here, and threads of
-# several workers that wait for each other in a loop take twice the time of the work itself.
+# This must precede the import of NumPy, here and in the workers: matrices are small, and competing threads
+# of several workers take twice the time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# A job that a shell starts in the background ignores SIGINT, and so would the commands that tests interrupt.
+# A background job of a shell ignores SIGINT, and its children would inherit this.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
-# Hundreds of child processes would each compile the package again, longer than what most of them do.
+# Otherwise hundreds of child processes would compile the package, which takes longer than most of their work.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option that renews golden files; look at the difference before you commit it."""
+    """Add the option that renews golden files; check the difference before a commit."""
     parser.addoption("--update-golden", action="store_true", help="write the golden files anew")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the longest test, so that no worker is left alone with it at the end."""
+    """Start with the longest test, so that it does not run alone at the end."""
     items.sort(key=lambda item: item.path.name != "test_readme.py")
 
 
 @pytest.fixture(autouse=True)
 def faults_fail_the_test(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Raise faults of the program in side work (second opinions …); a user is only told of them."""
+    """Raise faults of the program in side work (second opinions …), which users only see as findings."""
     from imucal import processes
 
     monkeypatch.setattr(processes, "faults_are_raised", lambda: True)
@@ -52,10 +52,9 @@ def faults_fail_the_test(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(autouse=True)
 def work_stays_here(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Do work side by side in this process, unless a test asks for `forks`.
+    """Run parallel work in this process, unless a test uses `forks`.
 
-    A child loses what it has laid out and computed for the next test; and whether one may be forked hung on
-    the servers that earlier tests of this process have left running.
+    A child's caches are lost for the next test, and servers of earlier tests could prevent forks.
     """
     from imucal import processes
 
@@ -65,14 +64,14 @@ def work_stays_here(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPa
 
 @pytest.fixture
 def forks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let work be done in forked children, whatever servers earlier tests have left running."""
-    every, earlier = threading.enumerate, set(threading.enumerate()) - {threading.main_thread()}
-    monkeypatch.setattr(threading, "enumerate", lambda: [each for each in every() if each not in earlier])
+    """Run parallel work in forked children, despite servers of earlier tests."""
+    every, existing = threading.enumerate, set(threading.enumerate()) - {threading.main_thread()}
+    monkeypatch.setattr(threading, "enumerate", lambda: [each for each in every() if each not in existing])
 
 
 @pytest.fixture
 def logs_are_done_here() -> Iterator[None]:
-    """Do a fleet's logs in this process; those of the tests of faults have processes of their own."""
+    """Process the logs of fleets in this process; tests of faults use their own processes."""
     from tests.fleet_run.done_here import logs_done_here
 
     with logs_done_here():
@@ -81,7 +80,7 @@ def logs_are_done_here() -> Iterator[None]:
 
 @pytest.fixture
 def pictures_are_blank() -> Iterator[None]:
-    """Leave pictures undrawn; those of the tests of figures and pages and of the README are real ones."""
+    """Skip the drawing of pictures; tests of figures, pages and the README draw them."""
     from tests.report.blank import blank_pictures
 
     with blank_pictures():
@@ -90,16 +89,16 @@ def pictures_are_blank() -> Iterator[None]:
 
 @pytest.fixture
 def pairs_are_found_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Find the pair that covers some fits once: a page or a file asks for it again and again.
+    """Compute the covering pair of the same fits once, because pages and files request it repeatedly.
 
-    One takes 2 to 3 ms; what finds it has tests of its own.
+    A pair takes 2 to 3 ms, and its calculation has its own tests.
     """
     from imucal.report.exports import config_numbers
 
     monkeypatch.setattr(config_numbers, "filter_numbers", _pair)
 
 
-#: Which fits, with which options -> the fits, so that nothing else gets their place, and their pair.
+#: Fits and options -> the fits, which must stay alive because their ids are the key, and their pair.
 _PAIRS: dict[tuple[object, ...], tuple[object, object]] = {}
 
 
@@ -114,7 +113,7 @@ def _pair(fits: list[object], **options: object) -> object:
 
 @pytest.fixture(scope="session", autouse=True)
 def machine_is_asked_once() -> Iterator[None]:
-    """Read the limits of the control group once: each small table asks for them several times."""
+    """Read the limits of the control group once, because each small table needs them several times."""
     from imucal import resources
 
     with mock.patch.object(resources, "control_group_limits", cache(resources.control_group_limits)):
@@ -123,5 +122,5 @@ def machine_is_asked_once() -> Iterator[None]:
 
 @pytest.fixture
 def update_golden(request: pytest.FixtureRequest) -> bool:
-    """Whether golden files are to be written instead of compared."""
+    """Return whether golden files are written instead of compared."""
     return bool(request.config.getoption("--update-golden"))

@@ -1,4 +1,4 @@
-"""Where the real recordings are; tests that need them skip with a reason when there are none."""
+"""Access to real recordings; tests that need them are skipped if they are missing."""
 
 import os
 from pathlib import Path
@@ -14,7 +14,7 @@ def real_data(*parts: str) -> Path:
     """Return a file of the real-data folder, or skip the test."""
     folder = Path(os.environ.get("IMUCAL_REAL_DATA", _DEFAULT))
     if not folder.is_dir():
-        # One place and one reason for all tests: pytest folds them into a line with their number.
+        # All tests have the same reason, so pytest merges them into one line.
         pytest.skip("no real recordings here; set IMUCAL_REAL_DATA to the folder that holds them")
     path = folder.joinpath(*parts)
     if not path.exists():

@@ -1,4 +1,4 @@
-"""Parameters of which only the first run by default; the others are marked as slow."""
+"""Parameters that are marked as slow except the first ones."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -9,7 +9,7 @@ __all__ = ["first_by_default"]
 
 
 def first_by_default(values: Iterable[Any], number: int) -> list[Any]:
-    """Return the values as parameters, all but the first `number` with the mark ``slow``."""
+    """Return the values as parameters; all after the first `number` have the mark ``slow``."""
     return [
         value if place < number else pytest.param(value, marks=[pytest.mark.slow])
         for place, value in enumerate(values)

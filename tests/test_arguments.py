@@ -1,4 +1,4 @@
-"""Wrong arguments of public functions end in advice, and values show themselves in a few lines."""
+"""Tests of invalid arguments of public functions, and of the representation of values."""
 
 import inspect
 import pickle
@@ -54,23 +54,22 @@ WRONG: list[tuple[Callable[[], object], str]] = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("call", "said"), WRONG, ids=[said for _, said in WRONG])
-def test_a_wrong_argument_is_answered_with_advice(call: Callable[[], object], said: str) -> None:
-    """It is an ArgumentError, which is a ValueError, too."""
+@pytest.mark.parametrize(("call", "message"), WRONG, ids=[message for _, message in WRONG])
+def test_the_error_for_an_invalid_argument_contains_advice(call: Callable[[], object], message: str) -> None:
+    """It is an ArgumentError, which is also a ValueError."""
     with pytest.raises(ArgumentError) as caught:
         call()
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
-def test_checked_functions_are_what_they_were() -> None:
-    """Name, signature and pickle; and right calls pass."""
+def test_checked_functions_keep_name_signature_and_pickle() -> None:
     assert list(inspect.signature(imucal.allan_curve).parameters) == ["series", "taus", "estimator", "edf"]
     assert pickle.loads(pickle.dumps(imucal.allan_curve)) is imucal.allan_curve  # noqa: S301 - our own
     assert imucal.allan_curve(RECORDING["gyro_x"]).n == RECORDING["gyro_x"].n
 
 
-def test_every_value_shows_itself_in_twelve_short_lines(tmp_path: Path) -> None:
-    """Reports, axes, estimates, curves, plans, comparisons, checks, drifts, logs and their parts."""
+def test_the_representation_of_every_value_has_at_most_twelve_short_lines(tmp_path: Path) -> None:
+    """They are reports, axes, estimates, curves, plans, comparisons, checks, drifts and logs with parts."""
     path = tmp_path / "log.csv"
     imucal.simulate("N=1e-4", rate_hz=10.0, duration="1min", path=path)
     axis = still()["gyro_x"]
@@ -90,13 +89,13 @@ def test_every_value_shows_itself_in_twelve_short_lines(tmp_path: Path) -> None:
 
 
 def test_a_report_is_written_and_loaded_by_the_name_of_its_folder(tmp_path: Path) -> None:
-    """A text will do for both."""
+    """The name may be a string."""
     imucal.write_report(still(), str(tmp_path / "out"), formats=(), html=False)
     assert imucal.load_report(str(tmp_path / "out"))["gyro_x"]["N"].value == still()["gyro_x"]["N"].value
 
 
-def test_an_estimate_in_other_units() -> None:
-    """Those of data sheets by default; a bound has no value; limits follow."""
+def test_an_estimate_is_converted_to_other_units() -> None:
+    """The default is the data-sheet unit; limits are converted, and a bound has no value."""
     white, flicker = still()["gyro_x"]["N"], fit_of_x()["B"]
     assert white.value is not None
     sheet = white.in_units()
@@ -110,7 +109,7 @@ def test_an_estimate_in_other_units() -> None:
 
 
 def test_a_recording_has_a_rate_if_its_axes_share_one(tmp_path: Path) -> None:
-    """The simulated log can be read back; different rates are named."""
+    """The simulated log can be read back; the error lists different rates."""
     assert RECORDING.rate_hz == 20.0
     path = tmp_path / "log.mcap"
     made = imucal.simulate(
@@ -123,14 +122,14 @@ def test_a_recording_has_a_rate_if_its_axes_share_one(tmp_path: Path) -> None:
         _ = mixed.rate_hz
 
 
-def test_a_report_of_vague_or_moved_noise_is_exported_by_force_only(tmp_path: Path) -> None:
-    """As on the command line: nothing is written, and the message has the next step."""
+def test_uncertain_or_moved_noise_is_only_exported_by_force(tmp_path: Path) -> None:
+    """As on the command line, nothing is written, and the error contains the next step."""
     axis = still()["gyro_x"]
     white = replace(axis["N"], low=1e-5, high=1e-3)
     fit = replace(axis.fit, estimates=(white, *axis.fit.estimates[1:]))
     vague = replace(still(), axes=(replace(axis, fit=fit), *still().axes[1:]))
-    swaying = [replace(one, samples=one.samples + np.sin(np.arange(one.n) / 9)) for one in RECORDING.series]
-    moved = imucal.characterize(replace(RECORDING, series=tuple(swaying)))
+    moving = [replace(one, samples=one.samples + np.sin(np.arange(one.n) / 9)) for one in RECORDING.series]
+    moved = imucal.characterize(replace(RECORDING, series=tuple(moving)))
     for report, found in (
         (vague, "N of gyro_x is not known to a factor of 10"),
         (moved, "Not noise: .*nothing was exported"),
@@ -143,7 +142,7 @@ def test_a_report_of_vague_or_moved_noise_is_exported_by_force_only(tmp_path: Pa
 
 
 def test_the_former_name_of_an_argument_works_with_a_warning(tmp_path: Path) -> None:
-    """`tell` of `write_report` is `on_finding`."""
+    """`tell` of `write_report` is now `on_finding`."""
     with pytest.warns(DeprecationWarning, match="tell is deprecated; use on_finding"):
         files = imucal.write_report(still(), tmp_path / "out", formats=(), html=False, tell=print)  # type: ignore[call-arg]
     assert files[0].name == "report.json"

@@ -1,4 +1,4 @@
-"""Order statistics that are NumPy's to the bit, without what NumPy imports for them."""
+"""Tests of order statistics that equal NumPy's without its imports."""
 
 import subprocess
 import sys
@@ -11,7 +11,7 @@ from imucal.arrays import aligned, distinct, median, percentile
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 10, 101, 1000])
-def test_they_are_those_of_numpy(n: int) -> None:
+def test_medians_and_percentiles_equal_numpys(n: int) -> None:
     rng = np.random.default_rng([770, n])
     for values in (rng.standard_normal(n), rng.integers(0, 10**9, n), rng.integers(0, 3, n).astype(float)):
         assert median(values) == np.median(values)
@@ -20,7 +20,7 @@ def test_they_are_those_of_numpy(n: int) -> None:
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 10, 1000])
-def test_distinct_numbers_are_those_of_numpy(n: int) -> None:
+def test_distinct_numbers_equal_numpys(n: int) -> None:
     values = np.random.default_rng([771, n]).integers(-20, 20, n)
     assert distinct(values).tolist() == np.unique(values).tolist()
 
@@ -37,7 +37,7 @@ def test_masked_arrays_are_not_imported() -> None:
 
 
 @pytest.mark.parametrize("n", [1, 7, 1000, 100_000])
-def test_an_aligned_array_begins_at_a_line_of_the_cache(n: int) -> None:
+def test_an_aligned_array_begins_at_a_cache_line(n: int) -> None:
     arrays = [aligned(n) for _ in range(5)]
     for array in arrays:
         assert array.shape == (n,)

@@ -1,4 +1,4 @@
-"""A file is written whole or not at all."""
+"""Tests of atomic writes: a file is written completely or not at all."""
 
 from pathlib import Path
 
@@ -8,8 +8,8 @@ from imucal.atomic import replacing
 from imucal.errors import WriteError
 
 
-def test_an_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
-    """Ctrl-C in the middle loses nothing."""
+def test_an_interrupted_write_keeps_the_old_file_only(tmp_path: Path) -> None:
+    """Ctrl-C during a write loses nothing."""
     target = tmp_path / "report.json"
     target.write_text("old", encoding="utf-8")
 
@@ -24,8 +24,8 @@ def test_an_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path: Pat
     assert list(tmp_path.iterdir()) == [target]
 
 
-def test_a_complete_write_takes_the_place_of_the_old_file(tmp_path: Path) -> None:
-    """The new file is there, the scratch folder is not."""
+def test_a_complete_write_replaces_the_old_file(tmp_path: Path) -> None:
+    """The scratch folder is removed."""
     target = tmp_path / "report.json"
     target.write_text("old", encoding="utf-8")
     with replacing(target) as scratch:
@@ -35,15 +35,14 @@ def test_a_complete_write_takes_the_place_of_the_old_file(tmp_path: Path) -> Non
 
 
 def test_a_missing_folder_is_a_write_error(tmp_path: Path) -> None:
-    """The message says where and what to do."""
+    """The error contains the path and advice."""
     target = tmp_path / "nowhere" / "a.json"
     with pytest.raises(WriteError) as caught, replacing(target):
         pass
     assert str(caught.value) == f"{target}: can't be written: No such file or directory; choose another place"
 
 
-def test_somebody_elses_file_is_not_replaced(tmp_path: Path) -> None:
-    """One of our own is."""
+def test_only_files_of_imucal_are_replaced(tmp_path: Path) -> None:
     target = tmp_path / "imu.yaml"
     target.write_text("# tuned by hand\n", encoding="utf-8")
     with pytest.raises(WriteError) as caught, replacing(target, ours="written by imucal"):
@@ -57,7 +56,7 @@ def test_somebody_elses_file_is_not_replaced(tmp_path: Path) -> None:
 
 
 def test_a_device_is_not_replaced() -> None:
-    """Moving a file onto it would remove it."""
+    """A rename onto it would remove it."""
     with (
         pytest.raises(WriteError, match="/dev/null: not a regular file; choose another place"),
         replacing(Path("/dev/null")),

@@ -1,4 +1,4 @@
-"""compare: significance that keeps its promise, bounds and terms that only one report has."""
+"""Tests of compare: false alarm rate, bounds, and terms of only one report."""
 
 import math
 from dataclasses import replace
@@ -18,7 +18,7 @@ BASE = small_report()
 
 
 def _estimate(key: str, value: float, deviation: float) -> Estimate:
-    """Return an estimate whose logarithm has this standard deviation, with its 95 % interval."""
+    """Return an estimate whose logarithm has this standard error, with its 95 % interval."""
     wide = math.exp(1.96 * deviation)
     return Estimate(key=key, symbol=key, status="estimated", value=value, low=value / wide, high=value * wide)
 
@@ -33,8 +33,8 @@ def _report(*estimates: Estimate) -> Report:
     return replace(BASE, axes=(replace(axis, fit=replace(axis.fit, estimates=estimates)),))
 
 
-def test_a_report_is_the_same_as_itself() -> None:
-    """Nothing differs; bounds are told apart from nothing; correlation times are terms of their own."""
+def test_a_report_does_not_differ_from_itself() -> None:
+    """Bounds are not compared, and correlation times are separate terms."""
     result = compare(consumer_report(), consumer_report())
     assert result.significant == ()
     assert {d.outcome for d in result.differences} == {"same", "bounded"}
@@ -45,11 +45,11 @@ def test_a_report_is_the_same_as_itself() -> None:
 
 
 @pytest.mark.parametrize(("first", "second"), [(0.002, 0.002), (0.05, 0.2), (0.3, 0.3)])
-def test_two_records_of_one_sensor_differ_at_rate_alpha(first: float, second: float) -> None:
-    """Without a change p is uniform: 5 % of records below 0.05.
+def test_the_false_alarm_rate_of_one_term_is_alpha(first: float, second: float) -> None:
+    """Without a change p is uniform: 5 % of records are below 0.05.
 
-    Exact for narrow intervals; with 30 % wide ones the lower limit of a ratio scale is nearer than
-    normal theory has it, and the score is at most a little conservative or liberal (within 1.5 %).
+    It is exact for narrow intervals. With 30 % wide ones, the lower limit of a ratio scale is nearer than in
+    normal theory, so the score is slightly conservative or liberal (within 1.5 %).
     """
     rng = np.random.default_rng(7)
     replications = 4000
@@ -61,14 +61,14 @@ def test_two_records_of_one_sensor_differ_at_rate_alpha(first: float, second: fl
         ).differences
         assert difference.p is not None
         small += difference.p < 0.05
-    # Four standard errors of a proportion of 0.05, and the approximation named above.
+    # Four standard errors of a proportion of 0.05, plus the approximation above.
     assert small / replications == pytest.approx(
         0.05, abs=4 * math.sqrt(0.05 * 0.95 / replications) + (0.015 if second > 0.1 else 0)
     )
 
 
-def test_many_terms_have_a_false_difference_at_rate_alpha() -> None:
-    """Holm's adjustment: of 18 terms of an unchanged sensor, some differ in at most 5 % of comparisons."""
+def test_the_false_alarm_rate_of_many_terms_is_alpha() -> None:
+    """With Holm's adjustment, at most 5 % of comparisons of 18 unchanged terms report a difference."""
     rng = np.random.default_rng(8)
     keys = [f"GM{i}" for i in range(1, 19)]
     replications, any_difference = 1000, 0
@@ -87,8 +87,8 @@ def test_many_terms_have_a_false_difference_at_rate_alpha() -> None:
     assert any_difference / replications <= 0.05 + 4 * math.sqrt(0.05 * 0.95 / replications)
 
 
-def test_holms_adjustment_by_hand() -> None:
-    """Three p-values of 0.01, 0.02 and 0.04 become 0.03, 0.04 and 0.04 (Holm 1979)."""
+def test_holms_adjustment_agrees_with_a_manual_calculation() -> None:
+    """The p-values 0.01, 0.02 and 0.04 become 0.03, 0.04 and 0.04 (Holm 1979)."""
     scores = {"N": 2.5758, "B": 2.3263, "K": 2.0537}
     a = _report(
         *(Estimate(key=k, symbol=k, status="estimated", value=1.0, low=1.0, high=1.0) for k in scores)
@@ -113,7 +113,6 @@ def test_holms_adjustment_by_hand() -> None:
 
 
 def test_the_score_changes_sign_with_the_order() -> None:
-    """Neither report is special."""
     a, b = _report(_estimate("N", 1.0, 0.1)), _report(_estimate("N", 1.3, 0.2))
     (forth,), (back,) = compare(a, b).differences, compare(b, a).differences
     assert forth.z is not None
@@ -124,7 +123,7 @@ def test_the_score_changes_sign_with_the_order() -> None:
 
 
 def test_a_bound_is_tested_against_a_value() -> None:
-    """K found where the other record excludes it differs; where the bound is above it, it doesn't."""
+    """K differs if the other record's bound is below it, but not if the bound is above."""
     found = _report(_estimate("K", 1.0, 0.05))
     (low,) = compare(_report(_bound("K", 0.2)), found).differences
     (high,) = compare(_report(_bound("K", 1.5)), found).differences
@@ -135,14 +134,14 @@ def test_a_bound_is_tested_against_a_value() -> None:
 
 
 def test_an_estimate_whose_interval_reaches_zero_is_tested() -> None:
-    """A lower limit of 0 makes no infinite score."""
+    """A lower limit of 0 must not give an infinite score."""
     vague = _report(Estimate(key="K", symbol="K", status="estimated", value=1.0, low=0.0, high=3.0))
     (difference,) = compare(vague, _report(_estimate("K", 1.5, 0.05))).differences
     assert difference.outcome == "same"
 
 
-def test_a_tolerance_hides_what_is_small_but_significant() -> None:
-    """Two per cent is thirty deviations here: five per cent of tolerance let it be, but not ten per cent."""
+def test_a_tolerance_ignores_small_significant_differences() -> None:
+    """A difference of 2 % is thirty standard errors here; a tolerance of 5 % ignores it, but not 10 %."""
     a = _report(_estimate("N", 1.0, 0.0005))
     b, c = _report(_estimate("N", 1.02, 0.0005)), _report(_estimate("N", 1.1, 0.0005))
     assert compare(a, b).significant
@@ -150,7 +149,7 @@ def test_a_tolerance_hides_what_is_small_but_significant() -> None:
     assert compare(a, c, tolerance=0.05).significant
 
 
-def test_terms_and_axes_of_one_report_alone_are_named() -> None:
+def test_terms_and_axes_of_only_one_report_are_listed() -> None:
     """They are not tested."""
     a = replace(consumer_report(), axes=(axis_report(GYRO, "x", "N=1e-4 + B=1e-5 + K=1e-6"),))
     b = replace(
@@ -164,8 +163,8 @@ def test_terms_and_axes_of_one_report_alone_are_named() -> None:
     assert compare(b, a).differences[0].outcome == "only-a"
 
 
-def test_reports_made_otherwise_are_noted() -> None:
-    """Another method or another rate may be the reason of a difference."""
+def test_different_settings_of_reports_are_noted() -> None:
+    """Another method or rate may cause a difference."""
     a = small_report()
     b = replace(a, axes=(axis_report(GYRO, "x", "N=1e-3", bounds={"B": 1e-4, "K": 1e-4}, rate_hz=100.0),))
     assert compare(a, b).notes == (
@@ -174,8 +173,8 @@ def test_reports_made_otherwise_are_noted() -> None:
     assert compare(a, a).notes == ()
 
 
-def test_reports_without_a_common_axis_are_refused() -> None:
-    """The message lists both."""
+def test_reports_without_a_common_axis_are_rejected() -> None:
+    """The error lists the axes of both."""
     a = small_report()
     b = replace(consumer_report(), axes=consumer_report().axes[3:])
     with pytest.raises(DataError) as error:
@@ -193,7 +192,6 @@ def test_reports_without_a_common_axis_are_refused() -> None:
         ({"tolerance": -1.0}, "tolerance must be 0 or more, got -1.0"),
     ],
 )
-def test_wrong_options_are_refused(options: dict[str, float], message: str) -> None:
-    """The library checks what the caller asks."""
+def test_invalid_options_are_rejected(options: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         compare(consumer_report(), consumer_report(), **options)

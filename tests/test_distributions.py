@@ -1,4 +1,4 @@
-"""The command of the README that runs the tests installs what they import."""
+"""Tests that the README's command for tests installs all modules that they import."""
 
 import ast
 import sys
@@ -11,21 +11,21 @@ from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-#: Benchmarks are no tests, and probes run under interpreters that their users name.
+#: Benchmarks are not tests, and probes run under interpreters that their users choose.
 TESTS = sorted(
     path
     for path in (ROOT / "tests").rglob("*.py")
     if "benchmarks" not in path.parts and not path.name.endswith("_probe.py")
 )
-#: Modules of extras that a test skips without, with `importorskip`.
+#: Modules of extras without which a test is skipped by `importorskip`.
 OPTIONAL = frozenset({"adlfs", "gcsfs"})
-#: A method that imports a module of another distribution when it is called.
+#: Methods that import a module of another distribution when they are called.
 BEHIND = {"cssselect": "cssselect"}
 
 
 @cache
 def named(extra: str) -> frozenset[str]:
-    """Return the distributions that an extra names, those of its own extras and of the project included."""
+    """Return the distributions of an extra, including those of its own extras and of the project."""
     found: set[str] = set()
     for text in PROJECT["optional-dependencies"][extra] if extra else PROJECT["dependencies"]:
         requirement = Requirement(text)
@@ -42,7 +42,7 @@ def normal(name: str) -> str:
 
 
 def imported(tree: ast.AST) -> set[str]:
-    """Return the first names of the modules that a test imports, asks for, or reaches by a method."""
+    """Return the top-level names of the modules that a test imports, requests, or reaches by a method."""
     found = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -58,18 +58,18 @@ def imported(tree: ast.AST) -> set[str]:
     return firsts - sys.stdlib_module_names - {"imucal", "tests"} - OPTIONAL
 
 
-def test_what_tests_import_is_installed_with_them() -> None:
-    """A module that only another extra brings is missing on a fresh machine."""
+def test_the_test_extra_contains_all_imported_modules() -> None:
+    """A module of another extra is missing on a fresh machine."""
     homes = packages_distributions()
     for path in TESTS:
         for module in imported(ast.parse(path.read_text(encoding="utf-8"))):
-            having = {normal(name) for name in homes.get(module, ())}
-            brings = f"{module} comes with {having or 'nothing'}"
-            assert having & named("test"), f"{path.name}: {brings}; name it in the extra [test]"
+            distributions = {normal(name) for name in homes.get(module, ())}
+            origin = f"{module} comes with {distributions or 'nothing'}"
+            assert distributions & named("test"), f"{path.name}: {origin}; name it in the extra [test]"
 
 
-def test_a_module_of_no_extra_is_reported() -> None:
-    """Also one that only a method needs."""
+def test_a_module_outside_the_extras_is_reported() -> None:
+    """Modules that only a method needs are found too."""
     tree = ast.parse("import numpy.random\nfrom mypy import api\npage.cssselect('a')\nimport ast")
     assert imported(tree) == {"numpy", "mypy", "cssselect"}
     assert "mypy" not in named("test")

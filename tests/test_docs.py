@@ -1,4 +1,4 @@
-"""The documentation: its code runs, its links lead somewhere, and it names what the program names."""
+"""Tests of the documentation: code, links, and agreement with the program."""
 
 import json
 import re
@@ -20,9 +20,9 @@ DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.glob("*.md"))
 PACKAGE = ROOT / "imucal"
 
-#: Blocks in these languages are run; text, sh, yaml and the like only show something.
+#: Languages whose blocks are run; other blocks are only shown.
 RUN = {"python", "console", "toml"}
-#: The report that several pages begin with; it is made once.
+#: The report that several pages begin with, computed once.
 KEPT = Kept("imucal fit log.mcap -o report", "report")
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
 
@@ -31,10 +31,10 @@ _LINK = re.compile(r"\]\(([^)\s]+)\)")
 @pytest.mark.usefixtures("logs_are_done_here", "pictures_are_blank")
 @pytest.mark.parametrize("page", [page for page in PAGES if page.name != "options.md"], ids=lambda p: p.stem)
 def test_the_code_of_a_page_runs_from_top_to_bottom(page: Path, tmp_path: Path) -> None:
-    """In order, in one folder; each block of text is what the commands print, to all digits."""
+    """Blocks run in order in one folder; each text block equals the output of the commands, to all digits."""
     fill_folder(tmp_path, page)
-    for shown, output in run_page(page, tmp_path, kept=KEPT):
-        assert missing_lines(shown, output) == [], output
+    for block, output in run_page(page, tmp_path, kept=KEPT):
+        assert missing_lines(block, output) == [], output
 
 
 def test_a_line_that_was_not_printed_is_found() -> None:
@@ -47,14 +47,14 @@ def test_a_line_that_was_not_printed_is_found() -> None:
 
 
 def test_numbers_of_a_block_are_renewed() -> None:
-    """Those of the most similar place; the spaces of the line stay."""
+    """They are copied from the most similar place, and the line's spaces are kept."""
     output = "x 0.34 [0.33,\n0.35] deg/h\nx 5 [4, 6] deg/h"
     assert renewed("x    0.3  [0.2, 0.5] deg/h", output) == "x    0.34  [0.33, 0.35] deg/h"
     assert renewed("y    0.3  [0.2, 0.5] deg/h\n", output) == "y    0.3  [0.2, 0.5] deg/h\n"
 
 
 def test_every_block_has_a_language() -> None:
-    """So that none is left out of the run by accident."""
+    """Otherwise a block might not be run by accident."""
     known = RUN | {"sh", "text", "csv", "matlab", "yaml", "json", "ini", "xml", "cpp"}
     for page in PAGES:
         for language, text in code_blocks(page):
@@ -62,8 +62,8 @@ def test_every_block_has_a_language() -> None:
 
 
 @pytest.mark.parametrize("page", [*PAGES, ROOT / "README.md", ROOT / "CONTRIBUTING.md"], ids=lambda p: p.stem)
-def test_links_between_files_lead_somewhere(page: Path) -> None:
-    """Files exist, and headings that are pointed at too."""
+def test_links_between_files_have_targets(page: Path) -> None:
+    """Files and headings exist."""
     for target in _LINK.findall(page.read_text(encoding="utf-8")):
         if re.match(r"[a-z]+:", target):
             continue
@@ -80,7 +80,7 @@ def _anchors(page: Path) -> Iterator[str]:
 
 
 def test_the_pages_build_without_a_warning(tmp_path: Path) -> None:
-    """MkDocs, strict: every page in the navigation, every link known; and nothing from the network."""
+    """MkDocs in strict mode checks the navigation and links; pages load nothing from the network."""
     pytest.importorskip("mkdocs", reason="mkdocs is part of the dev requirements only")
     site = tmp_path / "site"
     built = subprocess.run(  # noqa: S603 - our own pages
@@ -97,7 +97,7 @@ def test_the_pages_build_without_a_warning(tmp_path: Path) -> None:
 
 
 def test_every_finding_is_described() -> None:
-    """The codes in the source are those of the page, no more and no less."""
+    """The source and the page contain the same codes."""
     written = {
         code
         for file in PACKAGE.rglob("*.py")
@@ -116,7 +116,7 @@ def test_every_finding_is_described() -> None:
 
 
 def _loose_codes(name: str) -> set[str]:
-    """Return the codes that a module hands to a function of its own."""
+    """Return the codes that a module passes to its own function."""
     text = (PACKAGE / name).read_text(encoding="utf-8")
     damage = re.search(r"frozenset\(\{(.*?)\}\)", text, re.DOTALL)
     listed = re.findall(r'"([a-z-]+)"', damage[1]) if damage else []
@@ -124,7 +124,7 @@ def _loose_codes(name: str) -> set[str]:
 
 
 def test_every_key_of_the_schema_has_a_description() -> None:
-    """The page shows it."""
+    """Descriptions are shown on the page."""
     schema = json.loads((PACKAGE / "report" / "schema" / "report-2.schema.json").read_text(encoding="utf-8"))
     parts = {**schema["$defs"], "report": schema, "with axes": schema["oneOf"][0]}
     lacking = [
@@ -134,13 +134,13 @@ def test_every_key_of_the_schema_has_a_description() -> None:
         if not value.get("description")
     ]
     assert lacking == []
-    shown = {name for page in PAGES for name in re.findall("<!-- table: (.*) -->", page.read_text("utf-8"))}
+    listed = {name for page in PAGES for name in re.findall("<!-- table: (.*) -->", page.read_text("utf-8"))}
     # `quantity` is described in each key that contains one.
-    assert {*schema["$defs"], "report"} - {"quantity"} <= shown
+    assert {*schema["$defs"], "report"} - {"quantity"} <= listed
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_tables_made_from_the_code_are_current(page: Path) -> None:
+def test_generated_tables_are_current(page: Path) -> None:
     """Run `python -m tests.benchmarks.code_tables` after a change of the code."""
     text = page.read_text(encoding="utf-8")
     assert code_tables.renewed_page(text) == text
@@ -154,8 +154,7 @@ def test_a_stale_table_is_found() -> None:
     assert code_tables.renewed_page("no table\n") == "no table\n"
 
 
-def test_what_was_read_of_each_program_is_in_the_table() -> None:
-    """Word for word as the format says it."""
+def test_the_source_of_each_format_is_in_the_table() -> None:
     from imucal.report.exports import TARGETS
 
     page = (DOCS / "results" / "config-files.md").read_text(encoding="utf-8")
@@ -164,7 +163,7 @@ def test_what_was_read_of_each_program_is_in_the_table() -> None:
 
 
 def test_every_exit_code_has_a_meaning() -> None:
-    """The exit codes of the errors, and those of the command line itself."""
+    """These are the exit codes of errors and of the command line."""
     from imucal import errors
 
     own = {value.exit_code for value in vars(errors).values() if hasattr(value, "exit_code")}
@@ -182,16 +181,16 @@ def test_every_exit_code_has_a_meaning() -> None:
         ("9.807·10⁻³ m/s²", 9.80665e-3),
     ],
 )
-def test_the_conversions_are_right(number: str, unit: float) -> None:
-    """The table of data-sheet units, to its four digits."""
+def test_the_unit_conversions_are_right(number: str, unit: float) -> None:
+    """The table of data-sheet units is right to four digits."""
     page = (DOCS / "which-number-goes-in-my-config.md").read_text(encoding="utf-8")
     assert number in page
     digits, power = re.match(r"([\d.]+)·10⁻(.)", number).groups()  # type: ignore[union-attr]
     assert float(digits) * 10.0 ** -"⁰¹²³⁴⁵⁶⁷⁸⁹".index(power) == pytest.approx(unit, rel=5e-4)
 
 
-def test_units_that_the_pages_name_are_known() -> None:
-    """What --gyro-unit and --accel-unit are given on the pages, but for the rows that show a wrong one."""
+def test_units_in_the_pages_are_valid() -> None:
+    """Units of --gyro-unit and --accel-unit are valid, except in rows that show an error."""
     # A calibration reads raw counts.
     known = {unit for units in SAMPLE_UNITS.values() for unit in units} | {"count"}
     for page in PAGES:

@@ -1,4 +1,4 @@
-"""Pages that quote imucal: what they quote is what it prints, draws and ships."""
+"""Tests of pages that quote imucal: messages, options, pictures and files."""
 
 import ast
 import re
@@ -20,12 +20,12 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 _GAP = "\0"
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
-#: `ros2 topic echo --csv`, and a benchmark.
+#: An option of `ros2 topic echo`, and one of a benchmark.
 _OTHERS = {"--csv", "--minutes"}
 
 
 def texts() -> Iterator[str]:
-    """Yield every string of the package, with a gap where a value stands."""
+    """Yield every string of the package, with a gap for each value."""
     for file in (ROOT / "imucal").rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.JoinedStr):
@@ -37,46 +37,46 @@ def texts() -> Iterator[str]:
                 yield node.value
 
 
-def says(message: str, text: str) -> bool:
-    """Return whether the words between the gaps of a message stand in a text, in order."""
+def contains(message: str, text: str) -> bool:
+    """Return whether the words between the gaps of a message are in a text, in order."""
     parts = [re.escape(words) for part in message.split("…") if (words := part.strip(" :'"))]
     return re.search(".*".join(parts), text, re.DOTALL) is not None
 
 
 def test_frequent_messages_are_printed_by_the_package() -> None:
-    """Twenty messages and more, each in the package's own words."""
+    """At least fifteen messages are quoted literally."""
     page = (DOCS / "messages.md").read_text(encoding="utf-8").partition("\n## Frequent messages\n")[2]
     messages = re.findall(r"^\| `([^`]+)` \|", page, re.MULTILINE)
     assert len(messages) >= 15
     assert len(set(messages)) == len(messages)
-    said = [text for text in texts() if len(text) > 12]
-    assert [message for message in messages if not any(says(message, text) for text in said)] == []
+    strings = [text for text in texts() if len(text) > 12]
+    assert [message for message in messages if not any(contains(message, text) for text in strings)] == []
 
 
-def test_a_message_that_nobody_prints_is_caught() -> None:
-    """The words, and their order."""
+def test_a_message_that_is_never_printed_is_found() -> None:
+    """The comparison covers the words and their order."""
     text = f"{_GAP}: there is no topic {_GAP}; choose one of these topics {_GAP}"
-    assert says("…: there is no topic …; choose one of these topics", text)
-    assert not says("choose one … there is no topic", text)
-    assert not says("…: there is no such topic …", text)
+    assert contains("…: there is no topic …; choose one of these topics", text)
+    assert not contains("choose one … there is no topic", text)
+    assert not contains("…: there is no such topic …", text)
 
 
-def test_the_page_of_options_is_the_help_of_every_command() -> None:
-    """If not, run `python -m tests.benchmarks.options_page`."""
+def test_the_page_of_options_equals_the_help_of_all_commands() -> None:
+    """Otherwise run `python -m tests.benchmarks.options_page`."""
     page = options_page.PAGE.read_text(encoding="utf-8")
     assert page == options_page.page()
     assert page.count("\n## imucal") == len(COMMANDS) + 4
 
 
 @pytest.mark.parametrize("page", [ROOT / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda page: page.stem)
-def test_options_that_a_page_names_exist(page: Path) -> None:
-    """Except options of other programs."""
+def test_options_in_the_pages_exist(page: Path) -> None:
+    """Options of other programs are excluded."""
     known = set(_OPTION.findall(options_page.PAGE.read_text(encoding="utf-8")))
     assert set(_OPTION.findall(page.read_text(encoding="utf-8"))) <= known | _OTHERS
 
 
-def test_the_tutorial_shows_the_pictures_of_its_script() -> None:
-    """Those, no other, and small."""
+def test_the_tutorial_contains_the_pictures_of_its_script() -> None:
+    """There are no other pictures, and files are small."""
     page = (DOCS / "tutorial.md").read_text(encoding="utf-8")
     assert re.findall(r"\(images/([^)]+\.png)\)", page) == list(tutorial_figures.FIGURES)
     for name in tutorial_figures.FIGURES:
@@ -87,8 +87,7 @@ def test_the_tutorial_shows_the_pictures_of_its_script() -> None:
     assert "-o tutorial\n" in typed
 
 
-def test_readmes_links_are_in_the_source_archive() -> None:
-    """Whoever unpacks it finds each file."""
+def test_link_targets_of_the_readme_are_in_the_source_archive() -> None:
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     shipped = settings["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -98,8 +97,8 @@ def test_readmes_links_are_in_the_source_archive() -> None:
 
 
 @pytest.mark.parametrize("tool", peers.TOOLS)
-def test_every_way_finds_white_noise(tool: str) -> None:
-    """N within 15 %: nobody is compared by a recipe that was written wrongly."""
+def test_every_compared_tool_finds_white_noise(tool: str) -> None:
+    """N is within 15 %, so no tool is compared with a wrong recipe."""
     row, *_ = peers.measure("white", {tool: peers.TOOLS[tool]}, records=2, n=100_000, seed=9)
     name, n, *_ = (cell.strip() for cell in row.strip("|").split("|"))
     assert name == tool
@@ -108,17 +107,20 @@ def test_every_way_finds_white_noise(tool: str) -> None:
     assert abs(float(error[0])) < 15
 
 
-@pytest.mark.parametrize(("overlapping", "witness"), [(True, allantools.oadev), (False, allantools.adev)])
-def test_the_recipes_deviations_are_allantools(overlapping: bool, witness: Callable[..., Any]) -> None:  # noqa: FBT001
-    """Disjoint and overlapping."""
+@pytest.mark.parametrize(("overlapping", "reference"), [(True, allantools.oadev), (False, allantools.adev)])
+def test_deviations_of_the_recipes_agree_with_allantools(
+    overlapping: bool,  # noqa: FBT001
+    reference: Callable[..., Any],
+) -> None:
+    """Windows are disjoint or overlapping."""
     samples = np.random.default_rng(4).standard_normal(3000)
-    tau, adev, _, _ = witness(samples, rate=1.0, data_type="freq", taus=[1.0, 3.0, 10.0, 500.0])
+    tau, adev, _, _ = reference(samples, rate=1.0, data_type="freq", taus=[1.0, 3.0, 10.0, 500.0])
     found = peers.deviations(samples, tau, overlapping=overlapping)
     npt.assert_allclose(found, adev, rtol=1e-9)
 
 
-def test_the_comparison_names_every_way() -> None:
-    """One row a tool in each of the tables, and the command that printed them."""
+def test_the_comparison_contains_every_tool() -> None:
+    """Each table has one row per tool, and the page contains the command."""
     page = (DOCS / "results" / "comparison.md").read_text(encoding="utf-8")
     for tool in peers.TOOLS:
         assert len(re.findall(rf"^\| {re.escape(tool)} \|", page, re.MULTILINE)) == len(peers.TRUTHS) + 1

@@ -1,4 +1,4 @@
-"""The verdict: every code by its level or the table, and a sentence that a person would say."""
+"""Tests of the verdict: the grade of every code, and its sentence."""
 
 import ast
 from pathlib import Path
@@ -11,9 +11,9 @@ from imucal.findings import Finding, Level
 from imucal.grading import BY_LEVEL, OF_ALL_AXES, OTHERWISE, Grade, grade_of, judge_findings, percent
 
 LEVELS: tuple[Level, ...] = ("info", "warning", "error")
-#: Said of many units together, not of a recording.
+#: Codes of fleets, which do not occur in a recording.
 OF_A_FLEET = {"few-units", "weak-term"}
-#: Which argument is the code, where it is given by its place.
+#: Position of the code among the arguments.
 PLACE_OF_CODE = {"Finding": 1, "Loss": 0, "DamagedError": 1, "damaged_if": 2}
 AXES = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
 
@@ -29,24 +29,23 @@ def sentence(*findings: Finding, errors: dict[str, float] | None = None) -> str:
 
 
 @pytest.mark.parametrize("code", sorted(FINDING_CODES))
-def test_every_code_decides_by_the_table_or_by_its_level(code: str) -> None:
-    """The whole table, and nothing beside it: info is good, warning look, error not noise."""
+def test_the_grade_follows_from_the_table_or_the_level(code: str) -> None:
+    """Info is good, warning is look, and error is not noise, except for the entries of the table."""
     by_level: dict[Level, Grade] = {"info": "good", "warning": "look", "error": "not-noise"}
-    untouched = {(each, "warning") for each in ("unindexed", "index", "not-drawn")}
+    harmless = {(each, "warning") for each in ("unindexed", "index", "not-drawn")}
     for level in LEVELS:
-        expected = "good" if (code, level) in untouched else by_level[level]
+        expected = "good" if (code, level) in harmless else by_level[level]
         assert grade_of(finding(code, level)) == expected
         assert judge_findings([finding(code, level)], AXES).grade == expected
 
 
-def test_the_tables_know_codes_that_exist_only() -> None:
-    """A code that is no longer made leaves them."""
+def test_the_tables_contain_existing_codes_only() -> None:
     assert {code for code, _ in OTHERWISE} | OF_ALL_AXES <= FINDING_CODES
     assert set(BY_LEVEL) == set(LEVELS)
 
 
 def test_every_code_of_the_source_is_known() -> None:
-    """Each string that the package gives as a code, so that no finding can escape the table."""
+    """The test collects all strings that the package passes as a code."""
     found: set[str] = set()
     for path in Path(imucal.__file__).parent.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -65,7 +64,7 @@ def test_every_code_of_the_source_is_known() -> None:
 
 
 def test_a_good_recording_reports_the_precision_of_n() -> None:
-    """By the widest of its intervals."""
+    """The widest interval determines it."""
     errors = dict.fromkeys(AXES, 0.002) | {"accel_z": 0.00432}
     assert sentence(errors=errors) == "Good: 6 of 6 axes are stationary noise, N to ±0.43 %"
     assert sentence() == "Good: 6 of 6 axes are stationary noise"
@@ -74,13 +73,12 @@ def test_a_good_recording_reports_the_precision_of_n() -> None:
     assert judge_findings([], []).sentence == "Good: no problem found"
 
 
-def test_remarks_change_nothing() -> None:
-    """What is good to know is no reason."""
+def test_findings_of_level_info_do_not_change_the_verdict() -> None:
     assert sentence(finding("delay", "info"), finding("tone", "info", "gyro_x")).startswith("Good: 6 of 6")
 
 
-def test_a_warning_names_its_axes() -> None:
-    """The others are counted, with their own N; a sensor stands for its three axes."""
+def test_a_warning_contains_its_axes() -> None:
+    """The other axes are counted with their own N; a sensor means its three axes."""
     errors = dict.fromkeys(AXES, 0.002) | {"gyro_x": 0.5}
     found = [finding("tone", axis="gyro_x"), finding("warm-up", axis="accel")]
     assert sentence(*found, errors=errors) == (
@@ -90,14 +88,14 @@ def test_a_warning_names_its_axes() -> None:
     assert sentence(*found).startswith("Look first: spikes on gyro and accel_y; 2 of 6")
 
 
-def test_a_warning_of_the_log_leaves_the_axes_alone() -> None:
-    """Missing samples are no fault of the noise; a touch is one of all axes."""
+def test_a_warning_about_the_log_does_not_exclude_axes() -> None:
+    """Missing samples do not affect the noise, but a touch affects all axes."""
     assert sentence(finding("gaps")) == "Look first: missing samples; 6 of 6 axes are stationary noise"
     assert sentence(finding("touch")) == "Look first: something touched or shook the IMU"
 
 
 def test_many_reasons_are_counted() -> None:
-    """Three are named."""
+    """Three reasons are listed."""
     found = [finding(code) for code in ("gaps", "damaged", "truncated", "clock-jump", "bad-rows")]
     assert sentence(*found).startswith(
         "Look first: missing samples, damage to the log, a log that was cut off and 2 more; "
@@ -105,15 +103,15 @@ def test_many_reasons_are_counted() -> None:
 
 
 def test_a_moved_recording_is_not_noise() -> None:
-    """An error about the log leaves no axis; warnings do not stand beside it."""
+    """An error about the log excludes all axes, and warnings are omitted."""
     moved = finding("motion", "error")
     assert sentence(moved, finding("gaps")) == "Not noise: the IMU was moved; do not use these numbers"
     assert not judge_findings([moved], AXES).usable
     assert judge_findings([finding("gaps")], AXES).usable
 
 
-def test_a_dead_axis_leaves_the_others() -> None:
-    """They are counted; of six dead ones none is left."""
+def test_a_dead_axis_does_not_exclude_the_others() -> None:
+    """The other axes are counted."""
     errors = dict.fromkeys(AXES, 0.002)
     assert sentence(finding("no-data", "error", "accel_z"), errors=errors) == (
         "Not noise: no data on accel_z; 5 of 6 axes are stationary noise, N to ±0.2 %"
@@ -128,13 +126,12 @@ def test_a_dead_axis_leaves_the_others() -> None:
     assert sentence(*dead) == "Not noise: a stuck value on gyro and accel; do not use these numbers"
 
 
-def test_an_axis_that_is_not_listed_is_named_still() -> None:
-    """A sensor without any axis in the log."""
+def test_a_sensor_without_axes_is_reported() -> None:
     verdict = judge_findings([finding("no-data", axis="accel")], AXES[:3])
     assert verdict.sentence == "Look first: no data on accel; 3 of 3 axes are stationary noise"
 
 
 @pytest.mark.parametrize(("fraction", "text"), [(0.00432, "0.43 %"), (0.2, "20 %"), (1.234, "120 %")])
-def test_a_fraction_reads_in_percent(fraction: float, text: str) -> None:
-    """Two digits, no exponent."""
+def test_a_fraction_is_written_in_percent(fraction: float, text: str) -> None:
+    """It has two digits and no exponent."""
     assert percent(fraction) == text

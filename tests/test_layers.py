@@ -1,4 +1,4 @@
-"""Imports point down: the folders are the pipeline."""
+"""Tests of the layers: a folder only imports folders above it in the pipeline."""
 
 import ast
 from pathlib import Path
@@ -7,7 +7,7 @@ import imucal
 
 ROOT = Path(imucal.__file__).parent
 
-#: Part of the package -> the parts it may import, besides itself.
+#: Part of the package -> other parts that it may import.
 BELOW: dict[str, set[str]] = {
     "arrays": set(),
     "errors": set(),
@@ -63,7 +63,7 @@ def part_of(path: Path) -> str:
 
 
 def imported_parts(path: Path) -> set[str]:
-    """Return the parts of imucal that a module imports, anywhere in its text."""
+    """Return the parts of imucal that a module imports anywhere."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "imucal":
@@ -80,7 +80,7 @@ MODULES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__
 
 
 def test_imports_point_down() -> None:
-    """A module sees only its own part and those below it."""
+    """A module imports its own part and those below it."""
     for path in MODULES:
         part = part_of(path)
         above = imported_parts(path) - BELOW[part] - {part}
@@ -88,7 +88,7 @@ def test_imports_point_down() -> None:
 
 
 def test_only_the_command_line_prints() -> None:
-    """Below `cli` nothing prints and nothing knows click."""
+    """Other parts neither print nor import click."""
     for path in MODULES:
         if part_of(path) in {"cli", "__main__"}:
             continue

@@ -1,4 +1,4 @@
-"""A notebook is a first-class place: values show themselves in a few lines and as the page's table."""
+"""Tests of notebooks: values are displayed in a few lines and as the page's table."""
 
 import os
 import shutil
@@ -29,11 +29,11 @@ ROOT = Path(__file__).parents[1]
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 def test_the_notebook_of_the_docs_runs(tmp_path: Path) -> None:
-    """From top to bottom, in a folder with the sample logs: tables, pictures and texts."""
+    """It runs completely in a folder with the sample logs and displays tables, pictures and texts."""
     shutil.copytree(ROOT / "sample_logs", tmp_path / "sample_logs")
     notebook = nbformat.read(ROOT / "docs" / "notebook.ipynb", as_version=4)  # type: ignore[no-untyped-call]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "IPYTHONDIR": str(tmp_path / "ipython")}
-    # Named by whoever runs the tests, it would keep the kernel from showing pictures in the notebook.
+    # This variable of the user would prevent pictures in the notebook.
     environment.pop("MPLBACKEND", None)
     client = NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}})
     client.create_kernel_manager()
@@ -42,8 +42,10 @@ def test_the_notebook_of_the_docs_runs(tmp_path: Path) -> None:
     kinds = [kind for output in outputs for kind in output.get("data", {})]
     assert kinds.count("image/png") == 3
     assert kinds.count("text/html") >= 9
-    said = [output.text for output in outputs if output.output_type == "stream"]
-    assert said == ["an array has no sampling rate; give one, such as imucal.fit(samples, rate_hz=200.0)\n"]
+    message = [output.text for output in outputs if output.output_type == "stream"]
+    assert message == [
+        "an array has no sampling rate; give one, such as imucal.fit(samples, rate_hz=200.0)\n"
+    ]
     texts = [output["data"]["text/plain"] for output in outputs if "data" in output]
     assert max(len(text.splitlines()) for text in texts) <= 20
     assert (tmp_path / "imu.yaml").is_file()
@@ -73,8 +75,8 @@ def _values() -> dict[str, Displayed]:
 
 
 @pytest.mark.parametrize("name", _values())
-def test_values_show_themselves_in_twelve_lines(name: str) -> None:
-    """As text, as one or two tables, and as a data frame with as many rows as there are values."""
+def test_values_are_displayed_in_twelve_lines(name: str) -> None:
+    """The forms are text, one or two tables, and a data frame with one row per value."""
     value = _values()[name]
     assert 1 <= len(repr(value).splitlines()) <= 12
     assert max(map(len, repr(value).splitlines())) < 200
@@ -85,8 +87,8 @@ def test_values_show_themselves_in_twelve_lines(name: str) -> None:
     assert value.to_frame().height > 1
 
 
-def test_a_fleet_shows_itself(tmp_path: Path) -> None:
-    """A line a sensor model; the page's table of numbers for the config; a row a term and axis."""
+def test_a_fleet_is_displayed(tmp_path: Path) -> None:
+    """The text has a line per sensor model, the table equals the page, the frame has all terms and axes."""
     write_store(tmp_path / "fleet", units=4, weak="", failures=False, names=("gyro_x",))
     fleet = imucal.load_fleet(tmp_path / "fleet", unit_logs=False)
     assert 2 <= len(repr(fleet).splitlines()) <= 12
@@ -94,8 +96,8 @@ def test_a_fleet_shows_itself(tmp_path: Path) -> None:
     assert fleet.to_frame().height == sum(len(model.terms) for model in fleet.models)
 
 
-def test_a_frame_has_what_the_table_has() -> None:
-    """A row a term and axis; what is only bounded has no value."""
+def test_a_data_frame_equals_the_table() -> None:
+    """There is a row per term and axis, and bounded terms have no value."""
     report = consumer_report()
     frame = report.to_frame()
     assert frame.height == sum(1 for seen in views(report) for row in seen.rows for cell in row.cells if cell)
@@ -105,7 +107,7 @@ def test_a_frame_has_what_the_table_has() -> None:
 
 
 def test_axes_and_terms_are_found_by_their_names() -> None:
-    """And parts of a recording by a length of time."""
+    """Parts of a recording are selected by durations."""
     report = consumer_report()
     assert report["gyro_x"]["N"] is report.axes[0].fit["N"]
     recording = _recording()
@@ -114,8 +116,7 @@ def test_axes_and_terms_are_found_by_their_names() -> None:
     assert recording.skip(35)["gyro_y"].n == 500
 
 
-def test_a_part_has_the_gaps_of_its_own() -> None:
-    """Not those that were left out."""
+def test_a_part_only_reports_its_own_gaps() -> None:
     clock = imucal.Clock.even(1000, 100.0).keeping(np.arange(1000) != 50)
     series = imucal.AxisSeries(sensor=imucal.Sensor.GYROSCOPE, axis="x", samples=np.ones(999), clock=clock)
     recording = imucal.Recording(source=consumer_report().source, series=(series,)).between(0.0, np.inf)
@@ -126,12 +127,12 @@ def test_a_part_has_the_gaps_of_its_own() -> None:
 _SAMPLES = np.random.default_rng(3).standard_normal(2000)
 
 
-#: As who types it has it: unchecked.
+#: Users call the functions without type checks.
 _api: Any = imucal
 
 
 @pytest.mark.parametrize(
-    ("call", "said"),
+    ("call", "message"),
     [
         (lambda: _api.fit(_SAMPLES), "give one, such as imucal.fit(samples, rate_hz=200.0)"),
         (lambda: _api.fit("log.mcap"), "type imucal.fit(imucal.read('log.mcap'))"),
@@ -159,16 +160,16 @@ _api: Any = imucal
         (lambda: imucal.info("nothing.mcap"), "nothing.mcap"),
     ],
 )
-def test_refusals_suggest_a_command(call: Callable[[], object], said: str) -> None:
-    """Each is an `ImucalError`, in one sentence, with a code that a script may end with."""
+def test_errors_suggest_a_command(call: Callable[[], object], message: str) -> None:
+    """Each is an `ImucalError` of one sentence, with an exit code for scripts."""
     with pytest.raises(imucal.ImucalError) as caught:
         call()
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert caught.value.exit_code in {2, 3, 4}
 
 
-def test_fits_of_arrays_and_recordings_are_those_of_their_stages() -> None:
-    """An array is an axis; a recording is characterised."""
+def test_arrays_and_recordings_are_fitted() -> None:
+    """An array is an axis, and a recording is characterised."""
     fit = imucal.fit(list(_SAMPLES), rate_hz=100.0, sensor="accelerometer")
     assert fit.sensor is imucal.Sensor.ACCELEROMETER
     assert fit["N"].value == pytest.approx(0.1, rel=0.1)
@@ -178,8 +179,8 @@ def test_fits_of_arrays_and_recordings_are_those_of_their_stages() -> None:
     assert str(report["gyro_x"].fit.model) == "N"
 
 
-def test_export_and_check_take_paths(tmp_path: Path) -> None:
-    """A report by its folder, limits by their file or their text, a config to hold them to."""
+def test_export_and_check_accept_paths(tmp_path: Path) -> None:
+    """A report is given by its folder, limits by a file or text, a config by its file."""
     imucal.write_report(consumer_report(), tmp_path / "out", formats=(), html=False)
     (config,) = imucal.export(str(tmp_path / "out"), "kalibr", str(tmp_path / "k.yaml"))
     assert imucal.check(tmp_path / "out", config=config).passed
@@ -190,14 +191,14 @@ def test_export_and_check_take_paths(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", _values())
-def test_everything_can_be_drawn(name: str) -> None:
-    """The axes come back; those that are given are drawn on, and no figure is made."""
+def test_all_values_can_be_plotted(name: str) -> None:
+    """The axes are returned; given axes are used without a new figure."""
     mpl.use("agg")
     import matplotlib.pyplot as plt
 
     value, several = _values()[name], name in {"recording", "report"}
-    made = imucal.plot(value)
-    places = made if isinstance(made, tuple) else (made,)
+    plotted = imucal.plot(value)
+    places = plotted if isinstance(plotted, tuple) else (plotted,)
     assert len(places) == 1 + several
     assert all(place.get_xlabel().startswith(("averaging time", "time")) for place in places)
     before = plt.get_fignums()
@@ -208,7 +209,7 @@ def test_everything_can_be_drawn(name: str) -> None:
     plt.close("all")
 
 
-def test_a_picture_of_two_sensors_needs_two_axes() -> None:
+def test_a_plot_of_two_sensors_needs_two_axes() -> None:
     """Their units differ."""
     from matplotlib.figure import Figure
 
@@ -216,8 +217,7 @@ def test_a_picture_of_two_sensors_needs_two_axes() -> None:
         imucal.plot(consumer_report(), ax=Figure().subplots())
 
 
-def test_what_draws_a_value_is_loaded_when_somebody_looks() -> None:
-    """Not with the value."""
+def test_the_display_of_values_is_imported_lazily() -> None:
     code = "import imucal, sys; imucal.Recording; print('imucal.report.notebook' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603
     assert done.stdout == "False\n"

@@ -1,4 +1,4 @@
-"""Several things at a time, with results as if it had been done one after the other."""
+"""Tests of parallel work: its results equal the results of sequential work."""
 
 import multiprocessing
 import os
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.usefixtures("forks")
 
 @pytest.mark.parametrize("workers", WORKERS)
 def test_results_are_in_the_order_of_the_items(workers: int) -> None:
-    """Also where the first takes longest."""
+    """The first item takes longest."""
 
     def work(item: int) -> int:
         time.sleep(0.002 * (6 - item))
@@ -39,19 +39,19 @@ def test_results_are_in_the_order_of_the_items(workers: int) -> None:
 
 @pytest.mark.parametrize("workers", WORKERS)
 def test_progress_contains_the_count(workers: int) -> None:
-    """With the first item that is not done; it rises one by one, and ends with all."""
-    told: list[tuple[int, str | None]] = []
-    side_by_side(str.upper, list("abcd"), workers=workers, done=lambda *what: told.append(what))
-    counts = [count for count, _ in told]
+    """It has the first unfinished item; the count rises up to the number of items."""
+    reports: list[tuple[int, str | None]] = []
+    side_by_side(str.upper, list("abcd"), workers=workers, done=lambda *what: reports.append(what))
+    counts = [count for count, _ in reports]
     assert counts[0] == 0
     assert counts == sorted(counts)
-    assert told[0] == (0, "a")
-    assert told[-1] == (4, None)
+    assert reports[0] == (0, "a")
+    assert reports[-1] == (4, None)
 
 
 @SKIP
-def test_the_work_is_done_by_so_many_other_processes() -> None:
-    """None of them is there afterwards."""
+def test_the_work_is_done_by_the_given_number_of_processes() -> None:
+    """No process remains afterwards."""
 
     def work(_: int) -> int:
         time.sleep(0.05)
@@ -67,8 +67,8 @@ def test_the_work_is_done_by_so_many_other_processes() -> None:
 
 
 @pytest.mark.parametrize("workers", WORKERS)
-def test_the_first_error_in_their_order_is_raised(workers: int) -> None:
-    """Though the second item fails at once and the first one later; as it would have been, with its cause."""
+def test_the_error_of_the_first_item_is_raised(workers: int) -> None:
+    """The second item fails earlier; the error has its cause, as in sequential work."""
 
     def work(item: int) -> None:
         time.sleep(0.05 if item == 0 else 0.0)
@@ -83,8 +83,8 @@ def test_the_first_error_in_their_order_is_raised(workers: int) -> None:
 
 @SKIP
 @pytest.mark.parametrize("how", ["killed", "no memory", "no pickle"])
-def test_what_a_child_cannot_do_is_done_here(how: str) -> None:
-    """A child that the system kills, one without memory, a result that can't be sent."""
+def test_failed_work_of_a_child_is_repeated_here(how: str) -> None:
+    """A child is killed or lacks memory, or its result cannot be pickled."""
     here = os.getpid()
 
     def work(item: int) -> Any:  # noqa: ANN401 - also what can not be pickled
@@ -102,16 +102,15 @@ def test_what_a_child_cannot_do_is_done_here(how: str) -> None:
 
 
 @SKIP
-def test_what_is_of_the_item_is_not_sent() -> None:
-    """A result that holds its item is given back with the very item, as if it had been made here."""
+def test_parts_of_the_item_are_not_sent() -> None:
+    """A result that contains its item is returned with the identical item."""
     items = [np.zeros(1000) for _ in range(3)]
     found = side_by_side(lambda item: {"of": item, "size": item.size}, items, workers=2)
     assert all(one["of"] is item for one, item in zip(found, items, strict=True))
 
 
 @SKIP
-def test_children_hold_little_of_their_own() -> None:
-    """What their parent has they share."""
+def test_children_share_the_memory_of_their_parent() -> None:
 
     def own(_: int) -> int:
         text = Path("/proc/self/smaps_rollup").read_text(encoding="ascii")
@@ -123,8 +122,8 @@ def test_children_hold_little_of_their_own() -> None:
 
 
 @SKIP
-def test_warnings_of_a_child_are_shown_here() -> None:
-    """Each as often as its filter lets it through."""
+def test_warnings_of_a_child_are_raised_here() -> None:
+    """The warning filter applies."""
 
     def work(item: int) -> int:
         warnings.warn(f"of {item}", RuntimeWarning, stacklevel=1)
@@ -138,7 +137,7 @@ def test_warnings_of_a_child_are_shown_here() -> None:
 @SKIP
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGKILL"])
 def test_no_process_outlives_its_parent(tmp_path: Path, name: str) -> None:
-    """However it ends; after an interrupt with the parent's words alone."""
+    """An interrupt only prints the parent's text."""
     number = getattr(signal, name)
     script = f"""
         import os, pathlib, time
@@ -151,7 +150,7 @@ def test_no_process_outlives_its_parent(tmp_path: Path, name: str) -> None:
         except KeyboardInterrupt:
             print("interrupted")
     """
-    with subprocess.Popen(  # noqa: S603 - this interpreter, and a text that stands here
+    with subprocess.Popen(  # noqa: S603 - this interpreter and a constant script
         [sys.executable, "-c", textwrap.dedent(script)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -160,18 +159,18 @@ def test_no_process_outlives_its_parent(tmp_path: Path, name: str) -> None:
     ) as process:
         until(lambda: len(list(tmp_path.iterdir())) == 2)
         if name == "SIGINT":
-            # As a terminal does, to all of them.
+            # A terminal sends the interrupt to all processes.
             os.killpg(process.pid, number)
         else:
             process.send_signal(number)
-        said, wrong = process.communicate(timeout=30)
-    assert said == ("interrupted\n" if name == "SIGINT" else "")
-    assert not wrong
+        output, errors = process.communicate(timeout=30)
+    assert output == ("interrupted\n" if name == "SIGINT" else "")
+    assert not errors
     until(lambda: not any(is_there(int(child.name)) for child in tmp_path.iterdir()))
 
 
 def until(happened: object, seconds: float = 30) -> None:
-    """Wait until something has happened."""
+    """Wait for a condition."""
     assert callable(happened)
     end = time.monotonic() + seconds
     while not happened():
@@ -180,7 +179,7 @@ def until(happened: object, seconds: float = 30) -> None:
 
 
 def is_there(process: int) -> bool:
-    """Whether a process runs, and is not only a number that nobody asked for yet."""
+    """Return whether a process runs and is not a zombie."""
     try:
         return ") Z" not in Path(f"/proc/{process}/stat").read_text(encoding="utf-8")
     except OSError:
@@ -188,7 +187,7 @@ def is_there(process: int) -> bool:
 
 
 def test_an_interrupt_ends_the_work() -> None:
-    """At once, with nobody left."""
+    """No process remains."""
 
     def interrupted(_: int, __: int | None) -> None:
         raise KeyboardInterrupt
@@ -198,8 +197,8 @@ def test_an_interrupt_ends_the_work() -> None:
     assert not multiprocessing.active_children()
 
 
-def test_beside_other_threads_nothing_is_forked() -> None:
-    """A lock that another thread holds would be locked for ever in a child."""
+def test_other_threads_prevent_forks() -> None:
+    """A lock of another thread would stay locked in a child."""
     end = threading.Event()
     other = threading.Thread(target=end.wait)
     other.start()
@@ -211,8 +210,8 @@ def test_beside_other_threads_nothing_is_forked() -> None:
         other.join()
 
 
-def test_inside_other_parallel_work_nothing_is_forked(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Which has the processors already: in another thread, and in a process started for work."""
+def test_other_parallel_work_prevents_forks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thread of a pool or a worker process already uses the processors."""
     with ThreadPoolExecutor(1) as pool:
         assert not pool.submit(may_fork).result()
     monkeypatch.setattr(multiprocessing, "parent_process", multiprocessing.current_process)

@@ -1,4 +1,4 @@
-"""From a recording to a report: every axis, its findings, and the truth inside the intervals."""
+"""Tests of the pipeline from a recording to a report: axes, findings and coverage."""
 
 import dataclasses
 import json
@@ -24,17 +24,17 @@ TRUTH = json.loads((SAMPLE_LOGS / "truth.json").read_text(encoding="utf-8"))
 
 @cache
 def analysed(log: str) -> Report:
-    """Return the report of a sample log, at a level that holds all of its coefficients."""
+    """Return the report of a sample log, at a level whose intervals cover all coefficients."""
     return characterize(read(SAMPLE_LOGS / log), Settings(level=0.999))
 
 
 def recording_of(*series: AxisSeries) -> Recording:
-    """Wrap series as if a log had held them."""
+    """Return a recording of series."""
     return Recording(source=Source(path="made.csv", format="csv"), series=series)
 
 
 def covers(axis: AxisReport, truth: NoiseModel) -> dict[str, bool]:
-    """Return for each true coefficient whether its interval holds it."""
+    """Return for each true coefficient whether its interval covers it."""
     found = {}
     for term in truth.terms:
         estimate = axis.fit[term.symbol]
@@ -43,8 +43,8 @@ def covers(axis: AxisReport, truth: NoiseModel) -> dict[str, bool]:
 
 
 @pytest.mark.parametrize("log", sorted(TRUTH))
-def test_intervals_hold_the_truth_of_the_sample_logs(log: str) -> None:
-    """At 99.9 % each of the true coefficients lies inside; at 95 % one in twenty would not."""
+def test_intervals_cover_the_truth_of_the_sample_logs(log: str) -> None:
+    """The level is 99.9 %; at 95 % one in twenty would miss."""
     truth = TRUTH[log]
     report = analysed(log)
     assert len(report.axes) == 6
@@ -55,8 +55,8 @@ def test_intervals_hold_the_truth_of_the_sample_logs(log: str) -> None:
             assert axis.fit[symbol].high > 0
 
 
-def test_what_the_truth_does_not_have_is_bounded() -> None:
-    """Twenty seconds of white noise: no B and no K, and the report says how long it would take."""
+def test_absent_terms_of_a_sample_log_are_bounded() -> None:
+    """The log is twenty seconds of white noise."""
     report = characterize(read(SAMPLE_LOGS / "too_short.db3"))
     for axis in report.axes:
         assert axis.fit["N"].status == "estimated"
@@ -64,7 +64,7 @@ def test_what_the_truth_does_not_have_is_bounded() -> None:
 
 
 def test_gaps_are_reported_with_the_axes() -> None:
-    """Three gaps were made; three are found, with their places."""
+    """Three gaps are found at their places."""
     report = analysed("with_gaps.csv")
     for axis in report.axes:
         assert [gap.start_s for gap in axis.gaps] == pytest.approx([20.0, 60.0, 110.0])
@@ -72,8 +72,8 @@ def test_gaps_are_reported_with_the_axes() -> None:
     assert "gaps" in {finding.code for finding in report.findings}
 
 
-def test_an_axis_that_can_not_be_analysed_does_not_stop_the_others() -> None:
-    """It is named in a finding."""
+def test_an_unusable_axis_does_not_stop_the_others() -> None:
+    """It is reported in a finding."""
     rng = np.random.default_rng(5)
     good = AxisSeries.from_samples(rng.normal(size=4096), rate_hz=100.0, axis="x")
     dead = AxisSeries.from_samples(np.full(4096, np.nan), rate_hz=100.0, axis="y")
@@ -86,7 +86,7 @@ def test_an_axis_that_can_not_be_analysed_does_not_stop_the_others() -> None:
 
 
 def test_a_recording_without_any_usable_axis_is_an_error() -> None:
-    """The message says why, once."""
+    """The reason appears once."""
     dead = [AxisSeries.from_samples(np.full(64, np.nan), rate_hz=100.0, axis=axis) for axis in ("x", "y")]
     with pytest.raises(DataError) as caught:
         characterize(recording_of(*dead))
@@ -96,8 +96,8 @@ def test_a_recording_without_any_usable_axis_is_an_error() -> None:
 
 
 @pytest.mark.parametrize("n", [5000, (1 << 20) + 1])
-def test_an_axis_that_never_changes_is_refused(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In the same words whatever its length; a long one before anything is worked out."""
+def test_a_constant_axis_is_rejected(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The error does not depend on its length; a long axis is rejected before any calculation."""
     still = AxisSeries.from_samples(np.full(n, 0.25), rate_hz=100.0)
     recording = Recording(source=Source(path="log.csv", format="csv"), series=(still,))
     if n > 5000:
@@ -107,7 +107,7 @@ def test_an_axis_that_never_changes_is_refused(n: int, monkeypatch: pytest.Monke
 
 
 def test_a_report_does_not_depend_on_the_unit_of_the_samples() -> None:
-    """Scaling the samples by 1e-9 scales every coefficient and changes nothing else."""
+    """Scaling the samples by 1e-9 only scales every coefficient."""
     samples = NoiseModel.parse("N=1e-3 + K=1e-4").simulate(
         20_000, rate_hz=100.0, rng=np.random.default_rng(3)
     )
@@ -120,8 +120,8 @@ def test_a_report_does_not_depend_on_the_unit_of_the_samples() -> None:
         assert fits[1][symbol].high == pytest.approx(fits[0][symbol].high * 1e-9, rel=1e-4)
 
 
-def test_an_axis_keeps_its_result_when_there_is_no_second_opinion() -> None:
-    """Samples that alternate have a curve that no noise has; the finding says why gmwm could not judge."""
+def test_a_failed_second_opinion_keeps_the_result() -> None:
+    """The curve of alternating samples has no noise model; the finding contains the reason."""
     rng = np.random.default_rng(2)
     samples = np.where(np.arange(400) % 2, 1.0, -1.0) + 1e-9 * rng.normal(size=400)
     log = recording_of(AxisSeries.from_samples(samples, rate_hz=100.0))
@@ -136,8 +136,8 @@ def test_an_axis_keeps_its_result_when_there_is_no_second_opinion() -> None:
 
 @pytest.mark.parametrize(("seconds", "code"), [(15, "touch"), (30, "motion")])
 @pytest.mark.parametrize("settings", [Settings(), Settings(model="N + GM"), Settings(method="gmwm")])
-def test_a_moved_log_gets_a_curve_and_readings_of_slopes(seconds: int, code: str, settings: Settings) -> None:
-    """Nobody may use its numbers, and the search for a model of motion took most of the time."""
+def test_a_moved_log_is_fitted_by_slopes(seconds: int, code: str, settings: Settings) -> None:
+    """Its numbers must not be used, and a search for a model of motion is slow."""
     rng = np.random.default_rng(3_911)
     t = np.arange(6000) / 50
     shaken = 0.5 * np.sin(8 * t) * (t < seconds)
@@ -155,7 +155,7 @@ def test_a_moved_log_gets_a_curve_and_readings_of_slopes(seconds: int, code: str
 
 
 def test_every_setting_is_in_the_report() -> None:
-    """So that a run can be repeated; `reading` comes last. Whether it was `still` the log says itself."""
+    """A run can be repeated; `reading` is last, and the log itself shows whether it was `still`."""
     document = Settings(level=0.9, reading={"topic": ["/imu"]}).document()
     assert set(document) == {field.name for field in dataclasses.fields(Settings)} - {"still"}
     assert list(document)[-1] == "reading"
@@ -163,8 +163,8 @@ def test_every_setting_is_in_the_report() -> None:
 
 
 @pytest.mark.usefixtures("forks")
-def test_a_report_does_not_depend_on_how_many_axes_are_worked_on_at_a_time() -> None:
-    """Axes, an axis without a result, and findings stand in the same order with the same numbers."""
+def test_a_report_does_not_depend_on_the_number_of_workers() -> None:
+    """Axes, an axis without a result, and findings have the same order and numbers."""
     rng = np.random.default_rng(913)
     model = NoiseModel.parse("N=1e-3 + K=1e-4")
     samples = [model.simulate(4000, rate_hz=50.0, rng=rng) for _ in range(4)]
@@ -174,29 +174,29 @@ def test_a_report_does_not_depend_on_how_many_axes_are_worked_on_at_a_time() -> 
     ]
     series.append(AxisSeries.from_samples(samples[3], rate_hz=50.0, sensor="accelerometer"))
     series[1] = AxisSeries.from_samples(np.zeros(4000), rate_hz=50.0, sensor="gyroscope", axis="y")
-    told: list[tuple[int, int, str]] = []
+    reports: list[tuple[int, int, str]] = []
 
     def document(workers: int) -> str:
-        told.clear()
+        reports.clear()
         report = characterize(
-            recording_of(*series), progress=lambda *what: told.append(what), workers=workers
+            recording_of(*series), progress=lambda *what: reports.append(what), workers=workers
         )
         return dumps(to_document(report))
 
     alone = document(1)
-    assert [what[:2] for what in told] == [(done, 4) for done in range(5)]
+    assert [what[:2] for what in reports] == [(done, 4) for done in range(5)]
     for workers in (2, 3, 9):
         assert document(workers) == alone
         # Two axes may end at the same time.
-        counts = [done for done, _, _ in told]
+        counts = [done for done, _, _ in reports]
         assert counts[0] == 0
         assert counts == sorted(set(counts))
-        assert {number for _, number, _ in told} == {4}
-        assert told[-1] == (4, 4, "")
+        assert {number for _, number, _ in reports} == {4}
+        assert reports[-1] == (4, 4, "")
 
 
-def test_work_on_several_axes_keeps_to_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As many as wanted where the memory holds them; unasked as many as processors, with 300 MB in all."""
+def test_the_number_of_workers_is_limited_by_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The default is the number of processors if 300 MB are enough for all."""
     short, long = (
         recording_of(AxisSeries.from_samples(np.broadcast_to(0.0, n), rate_hz=50.0)) for n in (1000, 10**7)
     )
@@ -213,8 +213,8 @@ def test_work_on_several_axes_keeps_to_the_memory(monkeypatch: pytest.MonkeyPatc
         characterize(short, workers=0)
 
 
-def test_a_temperature_of_its_own_clock_is_taken_between_its_samples() -> None:
-    """Once a second, from half a second before the IMU on: the fit takes its effect out, `screen` warns."""
+def test_a_temperature_with_its_own_clock_is_interpolated() -> None:
+    """It is sampled once a second, from 0.5 s before the IMU; the fit removes its effect, `screen` warns."""
     rng = np.random.default_rng(914)
     n, clock = 20_000, Clock(source="made", rate_hz=1.0, segments=Clock.even(201, 1.0).segments, start_ns=0)
     own = dataclasses.replace(Clock.even(n, 100.0), start_ns=500_000_000)

@@ -1,4 +1,4 @@
-"""The four power laws: definitions, the sums they obey, the expected DCT-II."""
+"""Tests of the four power laws: definitions, sums and expected DCT-II ordinates."""
 
 import numpy as np
 import numpy.testing as npt
@@ -10,7 +10,7 @@ from imucal.noise import NoiseModel
 from imucal.powerlaw import PowerLaw, odd_harmonic
 
 LAWS = list(PowerLaw)
-#: Generalised variance of one sample, r(0): zero where there is none.
+#: Generalised variance of one sample, r(0); zero if there is none.
 VARIANCES = {PowerLaw.QUANTIZATION: 2.0, PowerLaw.WHITE: 1.0, PowerLaw.FLICKER: 0.0, PowerLaw.WALK: 0.0}
 
 
@@ -22,7 +22,7 @@ def test_odd_harmonics_are_their_sum() -> None:
 
 @pytest.mark.parametrize("law", LAWS)
 def test_sum_variance_follows_from_the_structure_function(law: PowerLaw) -> None:
-    """V(n) = n² r(0) - sum (n - k) D(k), term by term."""
+    """V(n) = n² r(0) - sum (n - k) D(k)."""
     for n in (1, 2, 3, 10, 57):
         k = np.arange(1.0, n)
         expected = n**2 * VARIANCES[law] - float((n - k) @ law.structure(k))
@@ -30,7 +30,7 @@ def test_sum_variance_follows_from_the_structure_function(law: PowerLaw) -> None
 
 
 def test_avar_has_its_closed_forms() -> None:
-    """3/m², 1/m and (2m² + 1)/(6m); flicker's floor is 2 ln 2 / pi of its psd's square."""
+    """3/m², 1/m and (2m² + 1)/(6m); the floor of flicker noise is 2 ln 2 / pi."""
     m = np.array([1.0, 2.0, 3.0, 17.0, 500.0, 1e7])
     npt.assert_allclose(PowerLaw.QUANTIZATION.avar(m), 3 / m**2, rtol=1e-13)
     npt.assert_allclose(PowerLaw.WHITE.avar(m), 1 / m, rtol=1e-13)
@@ -41,7 +41,7 @@ def test_avar_has_its_closed_forms() -> None:
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("m", [1, 2, 7, 40])
 def test_avar_is_the_integral_of_the_psd(law: PowerLaw, m: int) -> None:
-    """Lemma 4.1: the psd times 2 sin⁴(m w/2) / (m sin(w/2))², averaged over all frequencies."""
+    """Lemma 4.1: the mean over all frequencies of the psd times 2 sin⁴(m w/2) / (m sin(w/2))²."""
     omega = np.pi * (np.arange(400_000) + 0.5) / 400_000
     response = 2 * np.sin(m * omega / 2) ** 4 / (m * np.sin(omega / 2)) ** 2
     # Flicker's integrand has a kink at 0, which costs the midpoint rule (pi m / 400,000)².
@@ -50,7 +50,7 @@ def test_avar_is_the_integral_of_the_psd(law: PowerLaw, m: int) -> None:
 
 @pytest.mark.parametrize("law", LAWS)
 def test_functions_of_lag_are_even(law: PowerLaw) -> None:
-    """D and V do not know the direction of time, and vanish at 0."""
+    """D and V do not depend on the direction of time, and are 0 at 0."""
     k = np.array([-3.0, -1.0, 0.0, 1.0, 3.0])
     npt.assert_array_equal(law.structure(k), law.structure(-k))
     npt.assert_array_equal(law.sum_variance(k), law.sum_variance(-k))
@@ -58,20 +58,20 @@ def test_functions_of_lag_are_even(law: PowerLaw) -> None:
     assert law.sum_variance(k)[2] == 0
 
 
-def test_the_floor_of_flicker() -> None:
-    """2 ln 2 / pi for long averages; 1.4427, 1.154, 1.050, 1.0154 and 1.0013 times it at first."""
+def test_flicker_approaches_its_floor() -> None:
+    """The ratio to 2 ln 2 / pi is 1.4427, 1.154, 1.050, 1.0154 and 1.0013 at first."""
     ratio = PowerLaw.FLICKER.avar(np.array([1.0, 2.0, 4.0, 8.0, 32.0, 1e5])) / (2 * np.log(2) / np.pi)
     npt.assert_allclose(ratio, [1.4427, 1.154, 1.050, 1.0154, 1.0013, 1.0], atol=5e-4)
 
 
-def test_a_sampled_walk_is_below_its_limit_at_first() -> None:
-    """The ratio to m/3 is 1.5, 1.125, … the other way round 0.667, 0.889, 0.970 and 0.992."""
+def test_a_sampled_random_walk_approaches_its_limit() -> None:
+    """The limit m/3 is 0.667, 0.889, 0.970 and 0.992 of the variance at first."""
     m = np.array([1.0, 2.0, 4.0, 8.0])
     npt.assert_allclose(m / 3 / PowerLaw.WALK.avar(m), [0.667, 0.889, 0.970, 0.992], atol=5e-4)
 
 
 def _from_structure(law: PowerLaw, n: int) -> FloatArray:
-    """Sum E[X_k²] over all pairs of samples: X is blind to a constant, so -D/2 stands for r."""
+    """Return E[X_k²] summed over all pairs of samples; a constant has no effect, so -D/2 replaces r."""
     t = np.arange(n)
     covariance = -law.structure((t[:, None] - t).astype(np.float64)) / 2
     transform = np.sqrt(2 / n) * np.cos(np.pi * np.outer(np.arange(1, n), t + 0.5) / n)
@@ -81,8 +81,8 @@ def _from_structure(law: PowerLaw, n: int) -> FloatArray:
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("n", [2, 3, 40, 301])
-def test_expected_ordinates_are_the_double_sum(law: PowerLaw, n: int) -> None:
-    """Exact for white noise, walk and quantization; for flicker to 0.05/n²."""
+def test_expected_ordinates_agree_with_the_double_sum(law: PowerLaw, n: int) -> None:
+    """They are exact for white noise, random walk and quantization, and right to 0.05/n² for flicker."""
     single = np.arange(1, n)
     got = law.dct_spectrum(n, single, np.ones_like(single))
     tolerance = 0.05 / n**2 if law is PowerLaw.FLICKER else 1e-9
@@ -92,15 +92,15 @@ def test_expected_ordinates_are_the_double_sum(law: PowerLaw, n: int) -> None:
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("n", [5000, 300_000])
 def test_means_over_bins_are_the_mean_of_their_ordinates(law: PowerLaw, n: int) -> None:
-    """Wide bins are integrated, at a relative error below 3e-8."""
+    """Wide bins are integrated with a relative error below 3e-8."""
     bins, single = dct_bins(n), np.arange(1, n)
     each = law.dct_spectrum(n, single, np.ones_like(single))
     expected = np.add.reduceat(each, bins.first - 1) / bins.count
     npt.assert_allclose(law.dct_spectrum(n, bins.first, bins.count), expected, rtol=3e-8)
 
 
-def test_the_first_ordinates_of_flicker() -> None:
-    """0.7737, 0.9028 and 0.9311 of the spectrum 1/(2 sin(w/2))."""
+def test_the_first_ordinates_of_flicker_are_below_its_spectrum() -> None:
+    """They are 0.7737, 0.9028 and 0.9311 of 1/(2 sin(w/2))."""
     n, k = 10_000, np.array([1, 2, 3])
     share = PowerLaw.FLICKER.dct_spectrum(n, k, np.ones(3, np.int64)) * 2 * np.sin(np.pi * k / (2 * n))
     npt.assert_allclose(share, [0.7737, 0.9028, 0.9311], atol=5e-5)
@@ -108,7 +108,7 @@ def test_the_first_ordinates_of_flicker() -> None:
 
 @pytest.mark.parametrize(("law", "text"), list(zip(LAWS, ("Q=1", "N=1", "B=1", "K=1"), strict=True)))
 def test_simulated_ordinates_have_the_expected_squares(law: PowerLaw, text: str) -> None:
-    """Five hundred series of 256 samples: every eighth of the spectrum within four standard errors."""
+    """Eighths of the spectrum of 500 series of 256 samples agree within four standard errors."""
     rng, n = np.random.default_rng(12), 256
     model = NoiseModel.parse(text)
     squares = np.array([dct_ordinates(model.simulate(n, rate_hz=1.0, rng=rng)) ** 2 for _ in range(500)])

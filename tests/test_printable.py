@@ -1,4 +1,4 @@
-"""Signs that steer a terminal: shown as escapes, and the same value in JSON."""
+"""Tests of control characters: they are escaped for terminals and keep their value in JSON."""
 
 import json
 
@@ -8,7 +8,7 @@ from imucal.printable import printable, printable_json
 
 
 @pytest.mark.parametrize(
-    ("text", "shown"),
+    ("text", "escaped"),
     [
         ("gyro_x [rad/s] √²µ ° 加速度", "gyro_x [rad/s] √²µ ° 加速度"),
         ("two\nlines\tand a tab", "two\nlines\tand a tab"),
@@ -20,15 +20,15 @@ from imucal.printable import printable, printable_json
         ("\U000e0041", "\\U000e0041"),
     ],
 )
-def test_what_steers_is_shown_as_an_escape(text: str, shown: str) -> None:
-    """Letters of any script and lines stay; what is shown steers nothing."""
-    assert printable(text) == shown
-    assert printable(printable(text)) == shown
+def test_control_characters_are_escaped(text: str, escaped: str) -> None:
+    """Letters of all scripts and line breaks are unchanged, and the result has no control characters."""
+    assert printable(text) == escaped
+    assert printable(printable(text)) == escaped
 
 
 @pytest.mark.parametrize("text", ["plain", "\x1b\x9b\x7f\u202e\u2028", "\U000e0041\ufeff", "\udce9"])
 def test_json_keeps_its_value(text: str) -> None:
-    """The escapes are JSON's own: two of them beyond 16 bits."""
+    """JSON's own escapes are used, two of them for characters beyond 16 bits."""
     written = printable_json(json.dumps({"name": text}, ensure_ascii=False))
     assert written.isprintable()
     assert json.loads(written) == {"name": text}

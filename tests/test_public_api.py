@@ -1,4 +1,4 @@
-"""The public names are there, complete, and cost nothing until used."""
+"""Tests of the public names: complete, documented and imported lazily."""
 
 import importlib
 import pkgutil
@@ -16,8 +16,8 @@ MODULES = sorted(
 
 
 @pytest.mark.parametrize("name", imucal.__all__)
-def test_every_public_name_is_there_and_documented(name: str) -> None:
-    """Each loads, and none is a module."""
+def test_every_public_name_exists_and_is_documented(name: str) -> None:
+    """None is a module."""
     value = getattr(imucal, name)
     assert not isinstance(value, ModuleType)
     if name != "__version__":
@@ -25,7 +25,7 @@ def test_every_public_name_is_there_and_documented(name: str) -> None:
 
 
 def test_every_module_has_a_docstring() -> None:
-    """Each has a docstring; a folder names what it offers, and offers it."""
+    """The names in `__all__` exist."""
     for name in MODULES:
         module = importlib.import_module(name)
         assert module.__doc__, f"{name} has no docstring"
@@ -34,14 +34,13 @@ def test_every_module_has_a_docstring() -> None:
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:
-    """As for any module."""
     with pytest.raises(AttributeError, match="module 'imucal' has no attribute 'nothing'"):
         _ = imucal.nothing
 
 
 @pytest.mark.parametrize("arguments", [["-c", "import imucal"], ["-m", "imucal", "--help"]])
 def test_nothing_heavy_is_imported_before_it_is_used(arguments: list[str]) -> None:
-    """Importing the package or asking for help loads neither NumPy nor anything heavier."""
+    """Neither the import of the package nor its help loads NumPy or larger packages."""
     heavy = ("numpy", "scipy", "matplotlib", "polars", "rosbags", "mcap", "rich")
     run = subprocess.run(  # noqa: S603 - our own interpreter
         [sys.executable, "-X", "importtime", *arguments], capture_output=True, text=True, check=True

@@ -1,4 +1,4 @@
-"""Without the real recordings a run of the tests says so once."""
+"""Tests of the skips of tests without real recordings."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from tests.real_data import real_data
 def test_all_tests_without_recordings_skip_for_one_reason(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Pytest folds equal reasons into a line with their number; this one says what to do."""
+    """Pytest merges equal reasons into one line; the reason contains advice."""
     monkeypatch.setenv("IMUCAL_REAL_DATA", str(tmp_path / "nowhere"))
     reasons = set()
     for name in ("a.bag", "b.csv"):
@@ -21,7 +21,7 @@ def test_all_tests_without_recordings_skip_for_one_reason(
 
 
 def test_a_missing_recording_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Where the folder is there, what is not in it is said by name."""
+    """If the folder exists, the reason contains the missing file."""
     monkeypatch.setenv("IMUCAL_REAL_DATA", str(tmp_path))
     with pytest.raises(pytest.skip.Exception, match=r"^real/a\.bag is missing in the folder"):
         real_data("real", "a.bag")

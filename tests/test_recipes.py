@@ -1,4 +1,4 @@
-"""The recipes of CONTRIBUTING.md, followed to the letter in a copy of the project: nothing else is needed."""
+"""Tests of the recipes in CONTRIBUTING.md, which are followed in a copy of the project."""
 
 import os
 import re
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import pytest
 
 ROOT = Path(__file__).parents[1]
-#: What the tests of a recipe need; everything else stays behind.
+#: Files that the tests of a recipe need.
 COPIED = ("imucal", "tests", "docs", "sample_logs", "README.md", "CONTRIBUTING.md", "pyproject.toml")
 _RECIPES = re.compile(r"^### (?P<name>.+)\n(?P<text>(?:(?!^#{2,3} ).*\n)+)", re.MULTILINE)
 _STEP = re.compile(
@@ -24,7 +24,7 @@ _CHECK = re.compile(r"^`pytest (.+)` passes\.$", re.MULTILINE)
 
 
 class Step(NamedTuple):
-    """Lines for a file: a new one, or before or after the line that holds the text `place`."""
+    """Lines of a new file, or lines to insert before or after the line that contains `place`."""
 
     file: str
     how: str
@@ -47,7 +47,7 @@ class Step(NamedTuple):
 
 
 def recipes() -> dict[str, str]:
-    """Return the text of every recipe, by its name."""
+    """Return the text of every recipe by its name."""
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").partition("\n## Recipes\n")[2]
     return {found["name"]: found["text"] for found in _RECIPES.finditer(text)}
 
@@ -55,7 +55,7 @@ def recipes() -> dict[str, str]:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", recipes())
 def test_a_recipe_is_complete(name: str, tmp_path: Path) -> None:
-    """Each file is named, each step is there; what was added passes the tests of its family."""
+    """After all steps, the tests of the recipe pass."""
     for part in COPIED:
         source = ROOT / part
         if source.is_dir():
@@ -79,5 +79,4 @@ def test_a_recipe_is_complete(name: str, tmp_path: Path) -> None:
 
 
 def test_there_is_a_recipe_for_each_family() -> None:
-    """A term, a dialect, a container and an export."""
     assert list(recipes()) == ["A noise term", "A text dialect", "A container", "A config file"]

@@ -1,4 +1,4 @@
-"""Values of a recording: clocks with gaps, series and their cuts."""
+"""Tests of recordings: clocks with gaps, series and cuts."""
 
 from dataclasses import replace
 
@@ -15,8 +15,8 @@ from imucal.recording import AxisSeries, Recording, Sensor, Source
 KEEP = st.lists(st.booleans(), min_size=1, max_size=60).filter(any)
 
 
-def test_a_clock_knows_its_gaps() -> None:
-    """Two segments four places apart miss four samples."""
+def test_a_clock_reports_its_gaps() -> None:
+    """Two segments four samples apart miss four samples."""
     segments = (Segment(start=0, stop=10, offset=0), Segment(start=10, stop=15, offset=14))
     clock = Clock(source="test", rate_hz=2.0, segments=segments)
     assert clock.n == 15
@@ -34,21 +34,21 @@ def test_a_clock_knows_its_gaps() -> None:
         (Segment(start=0, stop=5, offset=0), Segment(start=5, stop=6, offset=4)),
     ],
 )
-def test_a_clock_refuses_segments_that_overlap_or_leave_samples_out(segments: tuple[Segment, ...]) -> None:
-    """Segments hold every sample once, in order."""
+def test_overlapping_or_incomplete_segments_are_rejected(segments: tuple[Segment, ...]) -> None:
+    """Segments contain every sample once, in order."""
     with pytest.raises(ValueError, match="segments must follow each other and not overlap"):
         Clock(source="test", rate_hz=1.0, segments=segments)
 
 
-def test_a_clock_refuses_a_rate_that_is_no_rate() -> None:
+def test_an_invalid_rate_is_rejected() -> None:
     """A rate is positive and finite."""
     with pytest.raises(ValueError, match="rate_hz must be positive and finite, got 0"):
         Clock.even(3, 0.0)
 
 
 @given(keep=KEEP)
-def test_left_out_samples_become_gaps(keep: list[bool]) -> None:
-    """What is kept stays at its place on the grid."""
+def test_omitted_samples_become_gaps(keep: list[bool]) -> None:
+    """The other samples keep their place on the grid."""
     mask = np.array(keep)
     series = AxisSeries.from_samples(np.arange(mask.size, dtype=float), rate_hz=10.0)
     kept = series.keeping(mask)
@@ -63,12 +63,14 @@ def test_left_out_samples_become_gaps(keep: list[bool]) -> None:
 
 
 @given(keep=KEEP, start=st.floats(-1, 8), length=st.floats(0, 8))
-def test_a_cut_in_time_holds_the_samples_of_that_time(keep: list[bool], start: float, length: float) -> None:
-    """`between` agrees with comparing every sample's time."""
+def test_a_cut_in_time_contains_the_samples_of_that_time(
+    keep: list[bool], start: float, length: float
+) -> None:
+    """`between` agrees with a comparison of every sample's time."""
     mask = np.array(keep)
     series = AxisSeries.from_samples(np.arange(mask.size, dtype=float), rate_hz=10.0).keeping(mask)
     seconds = series.clock.grid() * series.tau0
-    # A time within rounding of the grid may fall on either side.
+    # A time within rounding of the grid may be on either side.
     if np.any(np.abs(np.subtract.outer(seconds, [start, start + length])) < 1e-6):
         return
     expected = series.samples[(seconds >= start) & (seconds < start + length)]
@@ -76,20 +78,19 @@ def test_a_cut_in_time_holds_the_samples_of_that_time(keep: list[bool], start: f
 
 
 def test_a_cut_in_time_copies_nothing() -> None:
-    """A day of samples is not copied to leave out its first minutes."""
+    """A cut of a day of samples must not copy them."""
     series = AxisSeries.from_samples(np.arange(100.0), rate_hz=10.0)
     assert np.shares_memory(series.between(1, 5).samples, series.samples)
 
 
-def test_samples_that_are_not_finite_become_gaps() -> None:
-    """NaN and infinity are never filled in."""
+def test_non_finite_samples_become_gaps() -> None:
+    """NaN and infinity are never filled."""
     series = AxisSeries.from_samples(np.array([1.0, np.nan, 3.0, np.inf, 5.0]), rate_hz=1.0)
     assert series.finite().samples.tolist() == [1.0, 3.0, 5.0]
     assert series.finite().clock.grid().tolist() == [0, 2, 4]
 
 
 def test_a_series_is_read_only_and_one_dimensional() -> None:
-    """Values don't change once made."""
     series = AxisSeries.from_samples(np.zeros(3), rate_hz=1.0)
     with pytest.raises(ValueError, match="read-only"):
         series.samples[0] = 1.0
@@ -98,7 +99,7 @@ def test_a_series_is_read_only_and_one_dimensional() -> None:
 
 
 def test_a_recording_lists_its_axes() -> None:
-    """Asking for a missing axis lists those found."""
+    """The error for a missing axis lists the available ones."""
     series = AxisSeries.from_samples(np.zeros(3), rate_hz=1.0, sensor="accelerometer", axis="z")
     recording = Recording(source=Source(path="a.csv", format="csv"), series=(series,))
     assert recording.axis("accelerometer", "z") is series
@@ -108,7 +109,7 @@ def test_a_recording_lists_its_axes() -> None:
 
 
 def test_a_cut_beyond_the_end_reports_the_duration() -> None:
-    """Leaving out more than there is can't be meant."""
+    """It is an error."""
     series = AxisSeries.from_samples(np.zeros(30), rate_hz=10.0)
     recording = Recording(source=Source(path="a.csv", format="csv"), series=(series,))
     with pytest.raises(DataError) as caught:
@@ -119,8 +120,8 @@ def test_a_cut_beyond_the_end_reports_the_duration() -> None:
     assert recording.between(1.0, 2.0).series[0].n == 10
 
 
-def test_finite_samples_are_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A series that was found finite is asked again without a look; other samples are looked at."""
+def test_finite_samples_are_checked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A series that is known to be finite is not checked again; other samples are checked."""
     series = AxisSeries.from_samples(np.arange(5.0), rate_hz=1.0)
     assert series.finite() is series
     other = replace(series, samples=np.array([0.0, 1.0, np.nan, 3.0, 4.0]))
@@ -129,16 +130,16 @@ def test_finite_samples_are_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> N
     assert series.finite() is series
 
 
-def test_absurd_samples_are_left_out_like_infinite_ones() -> None:
-    """Their squares would overflow; they become gaps."""
+def test_absurdly_large_samples_become_gaps() -> None:
+    """Their squares would overflow."""
     samples = np.array([0.0, 1.0, np.nan, 1e308, -np.inf, 2.0, 3.0])
     series = AxisSeries.from_samples(samples, rate_hz=10.0).finite()
     assert series.samples.tolist() == [0.0, 1.0, 2.0, 3.0]
     assert series.clock.missing == 3
 
 
-def test_axes_that_share_a_clock_share_its_part() -> None:
-    """One clock stays one object, by which it is told that they were taken together."""
+def test_axes_with_a_common_clock_share_its_part() -> None:
+    """The identity of the clock shows that axes were sampled together."""
     one = AxisSeries.from_samples(np.zeros(30), rate_hz=10.0, axis="x")
     two = replace(one, axis="y")
     recording = Recording(source=Source(path="a.csv", format="csv"), series=(one, two))

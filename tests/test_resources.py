@@ -1,4 +1,4 @@
-"""Memory and threads: what is set, what the control group allows, what the machine has."""
+"""Tests of memory and thread limits: settings, control groups and the machine."""
 
 import os
 import subprocess
@@ -32,22 +32,21 @@ from tests.readers.logs import imu_messages, samples, write_mcap
         ("1gb", 1 << 30),
     ],
 )
-def test_the_memory_that_is_set(text: str, size: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It goes before all else."""
+def test_the_memory_setting_has_priority(text: str, size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("IMUCAL_MEMORY", text)
     assert memory_limit() == size
 
 
 @pytest.mark.parametrize("text", ["lots", "-1", "0", "0.1", "1 X", "G"])
-def test_a_wrong_memory_is_refused(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The message says what it is and how it is written."""
+def test_an_invalid_memory_setting_is_rejected(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The error contains the value and an example."""
     monkeypatch.setenv("IMUCAL_MEMORY", text)
     with pytest.raises(SettingError, match=r"IMUCAL_MEMORY: found .*expected a size such as 500M or 2G"):
         memory_limit()
 
 
-def test_a_quarter_of_the_least_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the machine, or of the control group; what can't be asked is left out."""
+def test_the_default_is_a_quarter_of_the_smallest_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Limits are those of the machine and the control groups; unknown ones are ignored."""
     monkeypatch.delenv("IMUCAL_MEMORY", raising=False)
     for physical, groups, limit in (
         (16 << 30, [], 4 << 30),
@@ -72,8 +71,10 @@ def test_a_quarter_of_the_least_there_is(monkeypatch: pytest.MonkeyPatch) -> Non
         ("0::/job/b", "job/a/memory.max", []),
     ],
 )
-def test_the_limits_of_a_control_group(line: str, file: str, limits: list[int], tmp_path: Path) -> None:
-    """Of both versions, its own or of a group above it."""
+def test_the_limits_of_control_groups_are_read(
+    line: str, file: str, limits: list[int], tmp_path: Path
+) -> None:
+    """Both versions are supported, and limits of parent groups count."""
     (tmp_path / "cgroup").write_text(f"9:name=systemd:/\n{line}\n", encoding="utf-8")
     limit = tmp_path / "root" / file
     limit.parent.mkdir(parents=True, exist_ok=True)
@@ -96,10 +97,10 @@ def test_the_limits_of_a_control_group(line: str, file: str, limits: list[int], 
         ("0::/job/a", {}, []),
     ],
 )
-def test_the_processors_of_a_control_group(
+def test_the_processors_of_control_groups_are_read(
     line: str, files: dict[str, str], processors: list[int], tmp_path: Path
 ) -> None:
-    """As much time as it may take in a period, rounded up; of both versions, its own or of a group above."""
+    """They are the quota per period, rounded up; both versions and parent groups count."""
     (tmp_path / "cgroup").write_text(f"9:name=systemd:/\n{line}\n", encoding="utf-8")
     for name, text in files.items():
         (tmp_path / "root" / name).parent.mkdir(parents=True, exist_ok=True)
@@ -109,7 +110,7 @@ def test_the_processors_of_a_control_group(
 
 
 def test_a_container_has_fewer_threads_than_its_machine(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of processors it may run on and time it may take, what is less."""
+    """The smaller one of available processors and quota counts."""
     monkeypatch.delenv("IMUCAL_THREADS", raising=False)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
     for groups, count in (([], 8), ([3], 3), ([16, 2], 2)):
@@ -117,8 +118,8 @@ def test_a_container_has_fewer_threads_than_its_machine(monkeypatch: pytest.Monk
         assert threads() == count
 
 
-def test_the_threads_that_are_set(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Otherwise the processors that this process may use."""
+def test_the_thread_setting_has_priority(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The default is the number of processors of this process."""
     monkeypatch.setenv("IMUCAL_THREADS", "3")
     assert threads() == 3
     monkeypatch.delenv("IMUCAL_THREADS")
@@ -129,8 +130,8 @@ def test_the_threads_that_are_set(monkeypatch: pytest.MonkeyPatch) -> None:
             threads()
 
 
-def test_the_libraries_beneath_obey_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the user has set for one of them stays; a wrong number changes nothing."""
+def test_the_thread_setting_applies_to_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A library's own variable has priority, and an invalid number changes nothing."""
     for name in ("POLARS_MAX_THREADS", "OMP_NUM_THREADS"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "7")
@@ -144,8 +145,8 @@ def test_the_libraries_beneath_obey_too(monkeypatch: pytest.MonkeyPatch) -> None
         monkeypatch.delenv(name, raising=False)
 
 
-def test_a_process_starts_no_more_threads(tmp_path: Path) -> None:
-    """Polars reads its limit when it is loaded, which is after this package."""
+def test_polars_respects_the_thread_setting(tmp_path: Path) -> None:
+    """Polars reads its limit when it is imported, which is after this package."""
     code = "import imucal, polars; print(polars.thread_pool_size())"
     clean = {name: value for name, value in os.environ.items() if not name.endswith("_THREADS")}
     done = subprocess.run(  # noqa: S603 - our own interpreter
@@ -156,10 +157,10 @@ def test_a_process_starts_no_more_threads(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("there", "threads_of_matrices"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")])
-def test_a_command_multiplies_matrices_by_one_thread(
+def test_matrix_products_of_a_command_use_one_thread(
     there: dict[str, str], threads_of_matrices: str, tmp_path: Path
 ) -> None:
-    """Before NumPy is loaded, which reads it then; what the user has set stays."""
+    """The variable is set before the import of NumPy, unless the user has set it."""
     code = (
         "import sys, os; from imucal.cli import main; assert 'numpy' not in sys.modules\n"
         "try: main(['--version'])\n"
@@ -173,8 +174,10 @@ def test_a_command_multiplies_matrices_by_one_thread(
     assert done.stdout.split()[-1] == threads_of_matrices
 
 
-def test_a_log_is_decoded_by_as_many_threads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One thread is the caller's own; a wrong number is an error of the call, exit code 2."""
+def test_a_log_is_decoded_by_the_set_number_of_threads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One thread is the caller's; an invalid number exits with 2."""
     path = write_mcap(tmp_path / "log.mcap", imu_messages(samples(600)))
     started: list[int] = []
     pool = ThreadPoolExecutor

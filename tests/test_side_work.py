@@ -1,4 +1,4 @@
-"""No second opinion, screening or picture may cost a user the result."""
+"""Tests that failures of second opinions, screening and pictures do not prevent a result."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +19,7 @@ from tests.cli.run import SAMPLE_LOGS, run
 from tests.report.synthetic import small_report
 from tests.screening.still import recording, still
 
-#: How side work may fail, and what is then said. The last is a fault of the program.
+#: Exceptions of side work and the resulting text; the last is a fault of the program.
 FAILURES = [
     (DataError("gyro_x: too short, expected more"), "too short, expected more"),
     (FloatingPointError("overflow"), "the calculation failed (FloatingPointError: overflow)"),
@@ -33,7 +33,7 @@ FAILURES = [
 
 @pytest.fixture
 def as_a_user(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tell faults of the program, as outside the tests."""
+    """Report faults of the program as findings, as outside the tests."""
     monkeypatch.setattr(processes, "faults_are_raised", lambda: False)
 
 
@@ -53,29 +53,26 @@ def _one_axis() -> Recording:
 
 
 @pytest.mark.usefixtures("as_a_user")
-@pytest.mark.parametrize(("error", "said"), FAILURES)
-def test_a_failure_becomes_a_finding(error: Exception, said: str) -> None:
-    """In one sentence, with the code and the axis; what is made otherwise takes the result's place."""
-    made, (finding,) = try_side_work(_failing(error), 7, what="No picture", code="not-drawn", axis="gyro_x")
-    assert made == 7
+@pytest.mark.parametrize(("error", "message"), FAILURES)
+def test_a_failure_becomes_a_finding(error: Exception, message: str) -> None:
+    """The finding has the code and the axis, and the default replaces the result."""
+    result, (finding,) = try_side_work(_failing(error), 7, what="No picture", code="not-drawn", axis="gyro_x")
+    assert result == 7
     assert (finding.level, finding.code, finding.axis) == ("warning", "not-drawn", "gyro_x")
-    assert finding.text == f"No picture: {said}."
+    assert finding.text == f"No picture: {message}."
     assert findings_or_why_not(_failing(error), what="No picture", code="not-drawn", axis="gyro_x") == (
         finding,
     )
 
 
-def test_what_succeeds_is_returned_as_it_is() -> None:
-    """Without a finding."""
+def test_a_success_is_returned_without_a_finding() -> None:
     assert try_side_work(lambda: 3, None, what="", code="") == (3, ())
     assert findings_or_why_not(tuple, what="", code="") == ()
 
 
 @pytest.mark.parametrize("debug", [True, False])
-def test_faults_are_raised_where_someone_looks_for_them(
-    monkeypatch: pytest.MonkeyPatch, *, debug: bool
-) -> None:
-    """With IMUCAL_DEBUG and in these tests; what data can do is a finding there too."""
+def test_faults_are_raised_for_developers(monkeypatch: pytest.MonkeyPatch, *, debug: bool) -> None:
+    """Developers set IMUCAL_DEBUG or run these tests; errors caused by data remain findings."""
     if debug:
         monkeypatch.undo()
         assert not processes.faults_are_raised()
@@ -87,17 +84,17 @@ def test_faults_are_raised_where_someone_looks_for_them(
 
 
 @pytest.mark.usefixtures("as_a_user")
-@pytest.mark.parametrize(("error", "said"), FAILURES)
-def test_a_second_opinion_costs_no_result(
-    monkeypatch: pytest.MonkeyPatch, error: Exception, said: str
+@pytest.mark.parametrize(("error", "message"), FAILURES)
+def test_a_failed_second_opinion_keeps_the_fit(
+    monkeypatch: pytest.MonkeyPatch, error: Exception, message: str
 ) -> None:
-    """Wherever in the fit of the curve it fails; nor does what a longer record would show."""
+    """It may fail anywhere, and so may the check of the record length."""
     monkeypatch.setattr(pipeline, "second_opinion", _failing(error))
     monkeypatch.setattr(pipeline, "resolution_findings", _failing(error))
     (axis,) = characterize(_one_axis(), Settings(second_opinion=True)).axes
     assert axis.fit["N"].value == pytest.approx(0.1, rel=0.1)
     texts = {finding.code: finding.text for finding in axis.findings}
-    assert texts["second-opinion"] == f"The fit of the Allan curve failed: {said}."
+    assert texts["second-opinion"] == f"The fit of the Allan curve failed: {message}."
     assert texts["record-length"].startswith("The required record length is unknown: ")
 
 
@@ -107,10 +104,10 @@ _CHECKS = [(table, i) for table in _TABLES for i in range(len(getattr(screening,
 
 @pytest.mark.usefixtures("as_a_user")
 @pytest.mark.parametrize(("table", "index"), _CHECKS)
-def test_a_check_that_fails_leaves_the_others(
+def test_a_failed_check_does_not_prevent_the_others(
     monkeypatch: pytest.MonkeyPatch, table: str, index: int
 ) -> None:
-    """Each in turn: the others still see that a table was knocked, or an axis is stuck."""
+    """The other checks still find the stuck axis."""
     gyro, accel = still(6000, 62)
     gyro[1] = 0.5
     checks = list(getattr(screening, table))
@@ -127,8 +124,8 @@ def test_a_check_that_fails_leaves_the_others(
 
 
 @pytest.mark.usefixtures("as_a_user")
-def test_an_axis_that_can_not_be_screened_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its profile fails; the fit does not need it."""
+def test_an_axis_is_fitted_without_screening(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The fit does not need the profile that fails."""
     monkeypatch.setattr(screening, "profile", _failing(FloatingPointError("overflow")))
     (axis,) = characterize(_one_axis()).axes
     assert "N" in str(axis.fit.model)
@@ -143,17 +140,17 @@ def test_an_axis_that_can_not_be_screened_is_fitted(monkeypatch: pytest.MonkeyPa
     ("home", "name", "missing"),
     [(figure, "axis_figure", {"gyro_x.png"}), (html_page, "render_page", {"report.html"})],
 )
-def test_a_picture_that_fails_costs_no_report(
+def test_a_failed_picture_does_not_prevent_the_report(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, home: object, name: str, missing: set[str]
 ) -> None:
-    """It is left out, also in the place of an old one; report.json and the caller get the finding."""
-    whole = {path.name for path in write_report(small_report(), tmp_path / "out")}
+    """An old picture is removed; report.json and the caller get the finding."""
+    complete = {path.name for path in write_report(small_report(), tmp_path / "out")}
     monkeypatch.setattr(home, name, _failing(ValueError("no canvas")))
     findings: list[str] = []
     files = write_report(
         small_report(), tmp_path / "out", on_finding=lambda finding: findings.append(finding.text)
     )
-    assert whole - {path.name for path in files} == missing
+    assert complete - {path.name for path in files} == missing
     assert not any((tmp_path / "out" / name).exists() for name in missing)
     (finding,) = [f for f in load(tmp_path / "out").findings if f.code == "not-drawn"]
     assert findings == [finding.text]
@@ -163,8 +160,8 @@ def test_a_picture_that_fails_costs_no_report(
 
 
 @pytest.mark.usefixtures("as_a_user")
-def test_the_command_names_the_missing_picture(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """On standard error; the table is there, and exit code 0."""
+def test_the_command_reports_the_missing_picture(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """It is on standard error, with the table on standard output and exit code 0."""
     monkeypatch.setattr(figure, "sensor_figure", _failing(ArithmeticError("no ticks")))
     done = run("fit", str(SAMPLE_LOGS / "too_short.db3"), "-o", "out", cwd=tmp_path)
     assert done.returncode == 0

@@ -1,4 +1,4 @@
-"""Simulated logs hold what was asked for, whatever container they are written to."""
+"""Tests of simulated logs in all containers."""
 
 import json
 import shlex
@@ -24,7 +24,7 @@ GRAVITY = 9.80665
 
 
 def short_recording(seed: int = 7) -> Recording:
-    """Ten seconds at 100 Hz with a gap."""
+    """Return ten seconds at 100 Hz with a gap."""
     return simulate_recording(
         gyroscope=SensorTruth(model=NoiseModel.parse("N=1e-4 + K=1e-5"), mean=(0.0, 0.0, 0.0)),
         accelerometer=SensorTruth(model=NoiseModel.parse("N=1e-3 + B=1e-4"), mean=(0.0, 0.0, GRAVITY)),
@@ -36,8 +36,8 @@ def short_recording(seed: int = 7) -> Recording:
 
 
 @pytest.mark.parametrize("suffix", list(WRITERS))
-def test_every_container_reads_back_bit_equal(suffix: str, tmp_path: Path) -> None:
-    """Samples, rate and gap come back exactly as they were written."""
+def test_every_container_is_read_back_exactly(suffix: str, tmp_path: Path) -> None:
+    """Samples, rate and gap are equal."""
     recording = short_recording()
     path = tmp_path / f"log{suffix}"
     write_log(recording, path)
@@ -51,10 +51,10 @@ def test_every_container_reads_back_bit_equal(suffix: str, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".mcap", ".bag"])
-def test_a_log_is_the_same_in_blocks_of_any_size(
+def test_a_log_does_not_depend_on_the_size_of_blocks(
     suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also where a gap lies inside a block, and where the samples lie in temporary files."""
+    """A gap is inside a block, and samples are in temporary files."""
     whole, parts = tmp_path / f"whole{suffix}", tmp_path / f"parts{suffix}"
     write_log(short_recording(), whole)
     monkeypatch.setattr(simulation, "_MESSAGES", 64)
@@ -64,8 +64,8 @@ def test_a_log_is_the_same_in_blocks_of_any_size(
 
 
 @pytest.mark.slow
-def test_a_long_log_is_never_held_whole(tmp_path: Path) -> None:
-    """The messages of this one are 80 MB; a multiple of what a block takes would show."""
+def test_a_long_log_is_written_in_blocks(tmp_path: Path) -> None:
+    """Its messages have 80 MB, which would exceed the memory of a block several times."""
     script = f"""
         import resource
         from imucal.cli import imucal
@@ -80,22 +80,19 @@ def test_a_long_log_is_never_held_whole(tmp_path: Path) -> None:
     subprocess.run(command, check=True, timeout=60)  # noqa: S603 - this interpreter, and a text of ours
 
 
-def test_the_same_seed_gives_the_same_samples() -> None:
-    """A log can be made again; another seed gives another."""
+def test_the_seed_determines_the_samples() -> None:
     first, again, other = short_recording(), short_recording(), short_recording(seed=8)
     npt.assert_array_equal(first.series[0].samples, again.series[0].samples)
     assert not np.array_equal(first.series[0].samples, other.series[0].samples)
 
 
-def test_samples_are_whole_multiples_of_the_resolution() -> None:
-    """A resolution quantises the output."""
+def test_samples_are_integer_multiples_of_the_resolution() -> None:
     truth = SensorTruth(model=NoiseModel.parse("N=1e-2"), mean=(0.0, 0.0, GRAVITY), lsb=0.125)
     samples = np.stack(list(truth.rows(100, rate_hz=100.0, rng=np.random.default_rng(1))))
     npt.assert_array_equal(samples / 0.125, np.round(samples / 0.125))
 
 
-def test_gaps_that_leave_nothing_are_refused() -> None:
-    """An empty log is not a log."""
+def test_gaps_that_remove_all_samples_are_rejected() -> None:
     truth = SensorTruth(model=NoiseModel.parse("N=1"), mean=(0.0, 0.0, 0.0))
     with pytest.raises(ValueError, match="the gaps remove all samples"):
         simulate_recording(
@@ -104,7 +101,6 @@ def test_gaps_that_leave_nothing_are_refused() -> None:
 
 
 def test_a_log_is_never_overwritten(tmp_path: Path) -> None:
-    """Whatever stands there stays."""
     path = tmp_path / "log.csv"
     path.write_text("mine", encoding="utf-8")
     with pytest.raises(WriteError) as caught:
@@ -113,8 +109,7 @@ def test_a_log_is_never_overwritten(tmp_path: Path) -> None:
     assert path.read_text(encoding="utf-8") == "mine"
 
 
-def test_an_unknown_suffix_names_the_known_ones(tmp_path: Path) -> None:
-    """The message lists what can be written."""
+def test_the_error_for_an_unknown_suffix_lists_the_known_ones(tmp_path: Path) -> None:
     with pytest.raises(WriteError) as caught:
         write_log(short_recording(), tmp_path / "log.xyz")
     assert str(caught.value) == (
@@ -123,10 +118,10 @@ def test_an_unknown_suffix_names_the_known_ones(tmp_path: Path) -> None:
     )
 
 
-def test_a_sample_log_can_be_made_again(tmp_path: Path) -> None:
-    """The commands in `sample_logs/README.md` are those that made the logs.
+def test_a_sample_log_is_reproducible(tmp_path: Path) -> None:
+    """The commands in `sample_logs/README.md` create the logs.
 
-    Samples agree to 1e-9: the last bits of a Fourier transform depend on the processor.
+    Samples agree to 1e-9, because the last bits of a Fourier transform depend on the processor.
     """
     folder = Path(__file__).parents[1] / "sample_logs"
     lines = (folder / "README.md").read_text(encoding="utf-8").splitlines()
@@ -134,7 +129,7 @@ def test_a_sample_log_can_be_made_again(tmp_path: Path) -> None:
     copy = tmp_path / "with_gaps.csv"
     result = CliRunner().invoke(imucal, [*shlex.split(line)[1:-1], str(copy), "--json"])
     assert result.exit_code == 0, result.output
-    made, kept = (np.loadtxt(path, delimiter=",") for path in (copy, folder / "with_gaps.csv"))
-    npt.assert_allclose(made, kept, rtol=1e-9, atol=1e-12)
+    repeated, kept = (np.loadtxt(path, delimiter=",") for path in (copy, folder / "with_gaps.csv"))
+    npt.assert_allclose(repeated, kept, rtol=1e-9, atol=1e-12)
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     assert json.loads(result.stdout) == truth["with_gaps.csv"]

@@ -1,4 +1,4 @@
-"""Small solvers, against SciPy's."""
+"""Tests of small solvers, compared with SciPy's."""
 
 import math
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from imucal.solvers import non_negative, root, root_near
 
 @pytest.mark.parametrize("seed", range(8))
 def test_non_negative_least_squares_agree_with_scipy(seed: int) -> None:
-    """Few and many columns, of lengths a million apart, some of them alike; some answers are zero."""
+    """There are few and many columns with lengths up to 1e6 apart; some solutions are zero."""
     rng = np.random.default_rng([771, seed])
     for _ in range(60):
         k, p = int(rng.integers(2, 25)), int(rng.integers(1, 12))
@@ -29,8 +29,8 @@ def test_non_negative_least_squares_agree_with_scipy(seed: int) -> None:
             npt.assert_allclose(found * length, expected, atol=1e-8 * float(np.linalg.norm(target)))
 
 
-def test_non_negative_least_squares_of_nothing() -> None:
-    """No column, and columns of zeros, explain nothing."""
+def test_non_negative_least_squares_without_columns() -> None:
+    """Columns of zeros explain nothing either."""
     target = np.array([3.0, 4.0])
     assert non_negative(np.zeros((2, 0)), target)[1] == pytest.approx(25.0)
     found, square = non_negative(np.array([[1.0, 0.0], [0.0, 0.0]]), target)
@@ -50,7 +50,7 @@ def test_non_negative_least_squares_of_nothing() -> None:
     ],
 )
 def test_a_root_agrees_with_scipy(function: Callable[[float], float], low: float, high: float) -> None:
-    """Smooth, steep and flat functions; Wallis's own cubic among them."""
+    """The functions are smooth, steep or flat; one is Wallis's cubic."""
     expected = brentq(function, low, high, xtol=1e-13)
     assert root(function, low, high, tolerance=1e-9) == pytest.approx(expected, abs=2e-9)
     assert root(lambda x: -function(x), low, high, tolerance=1e-9) == pytest.approx(expected, abs=2e-9)
@@ -58,7 +58,7 @@ def test_a_root_agrees_with_scipy(function: Callable[[float], float], low: float
 
 @pytest.mark.parametrize("start", [-4.0, 1.0, 9.0])
 def test_secants_find_the_root_of_a_falling_function(start: float) -> None:
-    """Straight, bent, and with a corner; in fewer evaluations than a bracket as wide takes."""
+    """Straight, curved and kinked functions need fewer evaluations than a bracket of that width."""
     functions: list[Callable[[float], float]] = [
         lambda x: 3 - 0.5 * x,
         lambda x: 2 - 0.5 * x - 0.1 * math.sin(x),
@@ -78,8 +78,8 @@ def test_secants_find_the_root_of_a_falling_function(start: float) -> None:
         assert len(places) < 13
 
 
-def test_secants_give_up_where_there_is_no_root_ahead() -> None:
-    """Out of the bracket, on a rise, and at a leap."""
+def test_secants_return_none_without_a_root() -> None:
+    """The function has its root outside the bracket, rises, or jumps."""
     assert root_near(lambda x: 40 - x, 0.0, -1.0, low=-5.0, high=5.0, tolerance=1e-9) is None
     assert root_near(lambda x: x, 1.0, -0.5, low=-5.0, high=5.0, tolerance=1e-9) is None
     assert root_near(lambda x: 1.0 if x < 1 else -1.0, 0.0, -0.5, low=-5.0, high=5.0, tolerance=1e-9) is None

@@ -1,4 +1,4 @@
-"""The benchmarks that are run together, and the page that their tables go to."""
+"""Tests of the benchmarks that run together and of the page with their tables."""
 
 import re
 import sys
@@ -14,16 +14,16 @@ ROOT = Path(__file__).parents[1]
 
 
 def test_the_tables_replace_those_in_a_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What stands above the mark stays; another run replaces the whole of what stands below it."""
+    """Text above the mark is kept; text below is replaced completely."""
     page = tmp_path / "speed.md"
     page.write_text((ROOT / "docs" / "results" / "speed.md").read_text(encoding="utf-8"), encoding="utf-8")
     above, mark, _ = page.read_text(encoding="utf-8").partition("<!-- measured -->\n")
     assert mark
-    asked: list[tuple[str, list[str]]] = []
+    calls: list[tuple[str, list[str]]] = []
 
     def run(name: str, arguments: list[str]) -> tuple[str, int]:
-        asked.append((name, arguments))
-        return f"| {name} | {len(asked)} |\n", 0
+        calls.append((name, arguments))
+        return f"| {name} | {len(calls)} |\n", 0
 
     monkeypatch.setattr(together, "run", run)
     monkeypatch.setattr(sys, "argv", ["all.py", "--page", str(page), "--before", "old", "python3"])
@@ -34,12 +34,12 @@ def test_the_tables_replace_those_in_a_page(tmp_path: Path, monkeypatch: pytest.
     count = len(together.BENCHMARKS)
     assert re.findall(r"^## (.*)$", text.partition(mark)[2], re.MULTILINE) == [*together.BENCHMARKS.values()]
     assert re.findall(r"\| (\d+) \|", text.partition(mark)[2]) == [str(count + 1 + i) for i in range(count)]
-    assert asked[0] == ("bench_job", ["--before", "old", "python3"])
-    assert all(not arguments for name, arguments in asked if name != "bench_job")
+    assert calls[0] == ("bench_job", ["--before", "old", "python3"])
+    assert all(not arguments for name, arguments in calls if name != "bench_job")
 
 
-def test_a_benchmark_that_fails_leaves_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is named, and the others run all the same."""
+def test_a_failed_benchmark_keeps_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is reported, and the other benchmarks run."""
     page = tmp_path / "speed.md"
     page.write_text("<!-- measured -->\nas it was\n", encoding="utf-8")
     monkeypatch.setattr(together, "run", lambda name, _: ("", int(name == "bench_axis")))
@@ -50,8 +50,8 @@ def test_a_benchmark_that_fails_leaves_the_page(tmp_path: Path, monkeypatch: pyt
 
 
 @pytest.mark.parametrize("where", [*STAGES.values(), *REPEATS.values()], ids=lambda where: where[1])
-def test_a_stage_that_is_measured_is_there(where: tuple[str, str]) -> None:
-    """A function that was renamed would count for nothing."""
+def test_a_measured_stage_exists(where: tuple[str, str]) -> None:
+    """A renamed function would count for nothing."""
     file, function = where
     if file.endswith(".py"):
         name = file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
@@ -59,6 +59,6 @@ def test_a_stage_that_is_measured_is_there(where: tuple[str, str]) -> None:
 
 
 @pytest.mark.parametrize("name", together.BENCHMARKS)
-def test_a_benchmark_that_is_run_is_there(name: str) -> None:
-    """As a module with a `main`."""
+def test_a_listed_benchmark_exists(name: str) -> None:
+    """It is a module with a `main`."""
     assert callable(import_module(f"tests.benchmarks.{name}").main)

@@ -1,4 +1,4 @@
-"""The page on the theory: its pictures are those of the script, and show what the page says."""
+"""Tests of the pictures of the page on theory, and of its claims."""
 
 import re
 from pathlib import Path
@@ -12,20 +12,20 @@ from tests.benchmarks import theory_figures as script
 DOCS = Path(__file__).parents[1] / "docs"
 
 
-def test_the_page_shows_the_pictures_of_the_script() -> None:
-    """No more and no less, each small and there."""
-    shown = re.findall(
+def test_the_page_contains_the_pictures_of_the_script() -> None:
+    """There are no other pictures, and files are small."""
+    names = re.findall(
         r"\(images/(theory-[a-z0-9-]+)\.png\)", (DOCS / "theory.md").read_text(encoding="utf-8")
     )
-    assert sorted(shown) == sorted(script.FIGURES)
-    for name in shown:
+    assert sorted(names) == sorted(script.FIGURES)
+    for name in names:
         picture = (DOCS / "images" / f"{name}.png").read_bytes()
         assert picture.startswith(b"\x89PNG")
         assert len(picture) < 300_000
 
 
-def test_the_pictures_can_be_drawn_again() -> None:
-    """From shorter records here; each has what its caption names."""
+def test_the_pictures_contain_what_their_captions_claim() -> None:
+    """The records are shorter than those of the page."""
     ma, additivity = script.moving_average_figure(20), script.additivity_figure(20_000)
     assert {line.get_label() for line in ma.axes[0].lines} >= {"avar_from_psd", "avar_from_acvf"}
     total, *terms = (np.asarray(line.get_ydata()) for line in additivity.axes[0].lines[1:])
@@ -41,7 +41,7 @@ def test_the_pictures_can_be_drawn_again() -> None:
     assert len(script.latent_figure(20_000).axes) == 3
 
 
-def test_the_moving_average_of_the_page_is_the_chapters() -> None:
+def test_the_moving_average_of_the_page_has_its_closed_form() -> None:
     """(1 + theta²) s²/m² (m + (2m - 3) theta/(1 + theta²)), by psd and by autocovariance."""
     m = np.array([1.0, 2.0, 30.0])
     for theta in (-0.9, 0.4):

@@ -1,4 +1,4 @@
-"""Intervals: coverage, the methods, heavy tails."""
+"""Tests of confidence intervals of Allan variances: coverage, methods and heavy tails."""
 
 from dataclasses import replace
 
@@ -39,39 +39,38 @@ def avar(variances: tuple[float, ...], m: FloatArray) -> FloatArray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", STANDARD)
-def test_intervals_cover_at_every_octave(name: str) -> None:
-    """95 % intervals hold the truth in 95 % of 250 series, within four standard errors downwards.
+def test_intervals_have_the_nominal_coverage_at_every_octave(name: str) -> None:
+    """The coverage of 95 % intervals in 250 series is at most four standard errors too low.
 
     The full study (2000 series each) is in docs/results/accuracy.md: 93.8 to 97.9 %.
     """
     _, share = coverage(STANDARD[name], REPLICATIONS, seed=1)
     assert share.min() > 0.95 - 4 * np.sqrt(0.95 * 0.05 / REPLICATIONS)
-    # Octaves are correlated; over all of them the mean has a standard error of about 1 %.
+    # Octaves are correlated, so the mean over all of them has a standard error of about 1 %.
     assert 0.925 < share.mean() < 0.98
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["Butterworth-4, 0.3 Nyquist", "resonance", "Laplace", "N + R"])
-def test_intervals_cover_what_no_power_law_describes(name: str) -> None:
-    """Filtered, heavy-tailed and drifting noise: at least 91 % in the long run."""
+def test_intervals_cover_noise_beyond_power_laws(name: str) -> None:
+    """The long-run coverage is at least 91 % for filtered, heavy-tailed and drifting noise."""
     _, share = coverage(HELD_OUT[name], 150, seed=2)
     assert share.min() > 0.91 - 3 * np.sqrt(0.91 * 0.09 / 150)
 
 
-def test_intervals_cover_at_68_percent() -> None:
-    """The level is a level, not a constant."""
+def test_intervals_have_the_nominal_coverage_at_68_percent() -> None:
     _, share = coverage(STANDARD["N + K"], 300, seed=3, level=0.68)
     assert share.mean() == pytest.approx(0.69, abs=0.04)
 
 
 def test_lag_one_identification_is_too_narrow() -> None:
-    """Why `greenhall` is not the default: below 94 % at long times."""
+    """The coverage is below 94 % at long times, so `greenhall` is not the default."""
     m, greenhall = coverage(STANDARD["N"], 150, seed=4, edf="greenhall")
     assert greenhall[m >= 256].mean() < 0.94
 
 
-def test_hybrid_and_model_agree_where_the_model_is_true() -> None:
-    """White noise: the spectral form scatters by a percent at first, by 10 % at the crossover."""
+def test_hybrid_and_model_agree_for_a_true_model() -> None:
+    """For white noise, the spectral form scatters by 1 % at first and by 10 % at the crossover."""
     samples = np.random.default_rng(5).standard_normal(65_536)
     m = 2 ** np.arange(15)
     hybrid = degrees_of_freedom(samples, m, OVERLAPPING, "hybrid")
@@ -84,7 +83,7 @@ def test_hybrid_and_model_agree_where_the_model_is_true() -> None:
 
 @pytest.mark.parametrize("name", ["overlapping", "modified", "hadamard"])
 def test_the_spectral_form_is_exact_in_expectation(name: str) -> None:
-    """Over spectra of white noise it gives the model's degrees of freedom on average, to 4 %."""
+    """Its mean over spectra of white noise agrees with the model's degrees of freedom to 4 %."""
     n, table, rng = 20_000, ESTIMATORS[name], np.random.default_rng(15)
     bins = dct_bins(n)
     powers = [rng.chisquare(bins.count) for _ in range(50)]
@@ -94,8 +93,8 @@ def test_the_spectral_form_is_exact_in_expectation(name: str) -> None:
         assert np.mean(got) == pytest.approx(model_edf(WHITE, m, terms[0], table), rel=0.04)
 
 
-def test_heavy_tails_cost_degrees_of_freedom() -> None:
-    """Laplace noise, excess kurtosis 3: at m = 1 the variance of the value gains 3/n of its square."""
+def test_heavy_tails_reduce_the_degrees_of_freedom() -> None:
+    """Laplace noise has excess kurtosis 3: at m = 1 the variance of the value gains 3/n of its square."""
     rng = np.random.default_rng(6)
     normal, heavy = rng.standard_normal(100_000), rng.laplace(size=100_000)
     assert excess_kurtosis(normal) == pytest.approx(0.0, abs=4 * np.sqrt(24 / 100_000))
@@ -105,16 +104,16 @@ def test_heavy_tails_cost_degrees_of_freedom() -> None:
     assert after == pytest.approx(1 / (1 / before + 3 / 2 / 100_000), rel=0.06)
 
 
-def test_kurtosis_of_little_is_nothing() -> None:
-    """Two samples have one difference; a constant has none."""
+def test_the_kurtosis_of_few_or_constant_samples_is_zero() -> None:
+    """Two samples have only one difference, and a constant has no variance."""
     assert excess_kurtosis(np.array([1.0, 2.0])) == 0.0
     assert excess_kurtosis(np.ones(100)) == 0.0
 
 
 @pytest.mark.parametrize("method", ["hybrid", "model", "greenhall"])
 @pytest.mark.parametrize("n", [2, 3, 4, 7, 64])
-def test_every_method_serves_short_series(method: str, n: int) -> None:
-    """At least one degree of freedom, never NaN."""
+def test_every_method_supports_short_series(method: str, n: int) -> None:
+    """There is at least one degree of freedom and never NaN."""
     samples = np.random.default_rng(n).standard_normal(n)
     m = np.arange(1, n // 2 + 1)
     edf = degrees_of_freedom(samples, m, OVERLAPPING, method)
@@ -124,14 +123,14 @@ def test_every_method_serves_short_series(method: str, n: int) -> None:
 
 @pytest.mark.parametrize("method", ["hybrid", "model", "greenhall"])
 def test_a_constant_series_has_a_curve_of_zeros(method: str) -> None:
-    """And finite degrees of freedom, so that nothing downstream meets a NaN."""
+    """The degrees of freedom are finite, so later steps never get NaN."""
     curve = allan_curve(AxisSeries.from_samples(np.full(500, 9.81), rate_hz=1.0), edf=method)
     npt.assert_allclose(curve.adev, 0.0, atol=1e-14)
     assert np.all(np.isfinite(curve.edf))
 
 
-def test_refuses_an_unknown_method() -> None:
-    """The message lists the methods."""
+def test_an_unknown_method_is_rejected() -> None:
+    """The error lists the methods."""
     with pytest.raises(ValueError, match="expected one of hybrid, model, greenhall"):
         degrees_of_freedom(np.zeros(10), np.array([1]), OVERLAPPING, "gaussian")
 
@@ -141,7 +140,7 @@ def test_refuses_an_unknown_method() -> None:
     [("Q=1", (1, 0, 0, 0)), ("N=2", (0, 4, 0, 0)), ("B=1", (0, 0, 1, 0)), ("K=1", (0, 0, 0, 1))],
 )
 def test_the_generic_fit_finds_a_single_law(text: str, expected: tuple[float, ...]) -> None:
-    """Each law comes back with its variance, and hardly anything of the others at any frequency."""
+    """The law has its true variance, and the other laws are negligible at every frequency."""
     n = 100_000
     samples = NoiseModel.parse(text).simulate(n, rate_hz=1.0, rng=np.random.default_rng(7))
     bins, ordinates = dct_bins(n), dct_ordinates(samples)
@@ -151,7 +150,7 @@ def test_the_generic_fit_finds_a_single_law(text: str, expected: tuple[float, ..
 
 
 def test_the_generic_fit_finds_a_drift() -> None:
-    """A drift of eight standard deviations is kept, none is not made up."""
+    """A drift of eight standard deviations is found, and white noise has none."""
     rng, n = np.random.default_rng(8), 20_000
     white = rng.standard_normal(n)
     slope = 8 * np.sqrt(12 / n**3)
@@ -164,8 +163,8 @@ def test_the_generic_fit_finds_a_drift() -> None:
     assert found[1] == pytest.approx(slope, rel=0.4)
 
 
-def test_a_strong_drift_leaves_the_noise_as_it_is() -> None:
-    """The drift comes back to its standard error, and what remains is the noise without one."""
+def test_a_strong_drift_does_not_affect_the_noise() -> None:
+    """The drift is found to its standard error, and the variances are those without a drift."""
     n, slope = 20_000, 1e-2
     white = np.random.default_rng(12).standard_normal(n)
     bins = dct_bins(n)
@@ -178,15 +177,14 @@ def test_a_strong_drift_leaves_the_noise_as_it_is() -> None:
     npt.assert_allclose(avar(steep.variances, m), avar(plain.variances, m), rtol=0.02)
 
 
-def test_the_generic_fit_of_a_curve_returns_its_own() -> None:
-    """From exact values the shares come back."""
+def test_the_generic_fit_recovers_an_exact_curve() -> None:
     m = np.exp2(np.arange(12.0))
     truth = avar((3.0, 1.0, 0.0, 1e-5), m)
     npt.assert_allclose(avar(fit_curve(m, truth, 1e4 / m).variances, m), truth, rtol=1e-6)
 
 
-def test_lag_one_identification_names_the_law() -> None:
-    """Long series of each law, at short averaging times; few averages keep the name before."""
+def test_lag_one_identification_finds_the_law() -> None:
+    """Long series of each law are identified at short averaging times; few averages keep the earlier law."""
     rng = np.random.default_rng(9)
     for law, text in zip(PowerLaw, ("Q=1", "N=1", "B=1", "K=1"), strict=True):
         samples = NoiseModel.parse(text).simulate(50_000, rate_hz=1.0, rng=rng)
@@ -194,8 +192,8 @@ def test_lag_one_identification_names_the_law() -> None:
     assert named_laws(np.ones(10), np.array([1])) == [PowerLaw.WHITE]
 
 
-def test_thirty_averages_name_a_law_and_fewer_do_not() -> None:
-    """An alternating series is quantization noise; before any is named it is white."""
+def test_thirty_averages_identify_a_law() -> None:
+    """An alternating series is quantization noise; with fewer averages white noise is assumed."""
     samples = np.resize([1.0, -1.0], 300)
     assert named_laws(samples[:29], np.array([1])) == [PowerLaw.WHITE]
     assert named_laws(samples[:30], np.array([1])) == [PowerLaw.QUANTIZATION]
@@ -203,8 +201,8 @@ def test_thirty_averages_name_a_law_and_fewer_do_not() -> None:
 
 
 @pytest.mark.parametrize("m", [1, 24, 25, 26, 40])
-def test_tails_count_while_windows_are_not_too_few(m: int) -> None:
-    """Of n = 99 as long as n - 2m + 1 >= 2m, that is to m = 25: then Var gains kappa/n of the square."""
+def test_tails_count_while_there_are_enough_windows(m: int) -> None:
+    """For n = 99 this is n - 2m + 1 >= 2m, or m <= 25; then Var gains kappa/n of the square."""
     samples = np.random.default_rng(13).laplace(size=99)
     steps = np.diff(samples)
     steps -= steps.mean()
@@ -215,15 +213,15 @@ def test_tails_count_while_windows_are_not_too_few(m: int) -> None:
     assert found == pytest.approx(expected)
 
 
-def test_the_lightest_tails_that_are_believed_are_uniform() -> None:
-    """Two values in turn have an excess of -2; -1.2 is what counts."""
+def test_the_lightest_tails_are_uniform() -> None:
+    """Two alternating values have an excess of -2, but -1.2 is used."""
     samples = np.cumsum(np.resize([1.0, -1.0], 400))
     found = less_for_heavy_tails(np.array([10.0]), samples, np.array([1]), OVERLAPPING)[0]
     assert found == pytest.approx(10 / (1 - 1.2 * 10 / (2 * 399)))
 
 
-def test_tails_of_a_record_with_gaps_come_from_neighbours_only() -> None:
-    """Normal samples on two levels with a gap at each step: as many degrees of freedom as on one."""
+def test_tails_of_a_record_with_gaps_use_adjacent_samples_only() -> None:
+    """Normal samples with level steps at gaps have the same degrees of freedom as on one level."""
     rng = np.random.default_rng(14)
     keep = np.ones(2000, dtype=bool)
     keep[100::100] = False
@@ -240,8 +238,8 @@ def test_tails_of_a_record_with_gaps_come_from_neighbours_only() -> None:
     assert edf["laplace", "flat"] < 0.6 * edf["normal", "flat"]
 
 
-def test_what_was_taken_out_of_a_mean_square_costs_its_square() -> None:
-    """An inflation of 2 leaves a quarter of the degrees of freedom, of samples with normal tails."""
+def test_the_degrees_of_freedom_fall_with_the_square_of_the_inflation() -> None:
+    """An inflation of 2 leaves a quarter of the degrees of freedom for samples with normal tails."""
     samples = np.random.default_rng(16).standard_normal(500)
     keep = np.ones(500, dtype=bool)
     keep[250] = False
@@ -256,8 +254,8 @@ def test_what_was_taken_out_of_a_mean_square_costs_its_square() -> None:
     assert inflated == pytest.approx(plain / 4)
 
 
-def test_a_drift_in_coloured_noise_is_the_generalised_least_squares_one() -> None:
-    """Its ordinates weigh by the spectrum that the fit itself found."""
+def test_a_drift_in_coloured_noise_agrees_with_generalised_least_squares() -> None:
+    """The weights are the inverse of the fitted spectrum."""
     n = 5000
     samples = NoiseModel.parse("N=1 + K=1e-2").simulate(n, rate_hz=1.0, rng=np.random.default_rng(17))
     bins, ordinates = dct_bins(n), dct_ordinates(samples + 0.02 * np.arange(n))

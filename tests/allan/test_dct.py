@@ -1,4 +1,4 @@
-"""DCT-II ordinates and their bins."""
+"""Tests of DCT-II ordinates and their bins."""
 
 import numpy as np
 import numpy.testing as npt
@@ -20,8 +20,8 @@ from imucal.errors import DataError
 
 
 @pytest.mark.parametrize("n", [2, 3, 129, 130, 5000, 100_003])
-def test_bins_hold_every_ordinate_once(n: int) -> None:
-    """Bins follow each other from 1 to n-1; their frequency is the mean of their ordinates'."""
+def test_bins_contain_every_ordinate_once(n: int) -> None:
+    """Bins are contiguous from 1 to n-1, and their frequency is the mean over their ordinates."""
     bins = dct_bins(n)
     assert bins.first[0] == 1
     npt.assert_array_equal(bins.first[1:], bins.first[:-1] + bins.count[:-1])
@@ -32,7 +32,7 @@ def test_bins_hold_every_ordinate_once(n: int) -> None:
 
 
 def test_bins_widen_steadily() -> None:
-    """The first 128 stand alone; above, 48 cover an octave."""
+    """The first 128 bins are single ordinates; above, 48 bins cover an octave."""
     bins = dct_bins(1_000_000)
     npt.assert_array_equal(bins.first[:129], np.arange(1, 130))
     octave = (bins.first >= 10_000) & (bins.first < 20_000)
@@ -40,13 +40,13 @@ def test_bins_widen_steadily() -> None:
 
 
 def test_bins_begin_at_powers_of_their_ratio() -> None:
-    """After four single ordinates, two bins an octave: 5 times powers of the root of two."""
+    """After four single ordinates there are two bins per octave: 5 times powers of sqrt(2)."""
     bins = dct_bins(41, singles=4, per_octave=2)
     npt.assert_array_equal(bins.first, [1, 2, 3, 4, 5, 7, 10, 14, 20, 28, 40])
     npt.assert_array_equal(bins.count, [1, 1, 1, 1, 2, 3, 4, 6, 8, 12, 1])
 
 
-def test_ordinates_are_the_definition() -> None:
+def test_ordinates_agree_with_their_definition() -> None:
     """X_k = sqrt(2/n) sum y_t cos(pi k (t + 1/2) / n); the mean does not matter."""
     rng = np.random.default_rng(0)
     samples = rng.standard_normal(50) + 1e6
@@ -55,15 +55,15 @@ def test_ordinates_are_the_definition() -> None:
     npt.assert_allclose(dct_ordinates(samples), expected, atol=1e-9)
 
 
-def test_power_is_the_variance() -> None:
-    """Parseval: the bins hold n times the variance of the samples."""
+def test_the_total_power_is_n_times_the_variance() -> None:
+    """Parseval's theorem."""
     samples = np.random.default_rng(1).standard_normal(3001)
     power = bin_power(dct_ordinates(samples), dct_bins(3001))
     assert power.sum() == pytest.approx(3001 * samples.var(), rel=1e-12)
 
 
-def test_refuses_what_has_no_spectrum() -> None:
-    """Too few samples, samples that are not finite, sizes that do not match."""
+def test_invalid_samples_and_bins_are_rejected() -> None:
+    """Errors are too few or non-finite samples, and shapes that do not match."""
     with pytest.raises(DataError, match="the spectrum needs at least 2 samples, got 1"):
         dct_ordinates(np.ones(1))
     with pytest.raises(DataError, match="needs finite samples; got NaN or infinity"):
@@ -76,7 +76,7 @@ def test_refuses_what_has_no_spectrum() -> None:
 
 @pytest.mark.parametrize("n", [65_537, 131_101, 720_001, 1_000_003, 2_159_999, 9_999_991])
 def test_fast_lengths_are_smooth_and_near(n: int) -> None:
-    """At most 1e-4 is left out, and no prime factor is above 127; or nothing is left out at all."""
+    """At most 1e-4 of the samples is omitted, and no prime factor exceeds 127."""
     length = fast_length(n)
     assert 0 <= n - length <= 1e-4 * n
     rest = length
@@ -87,23 +87,23 @@ def test_fast_lengths_are_smooth_and_near(n: int) -> None:
     assert n < 700_000 or rest == 1
 
 
-def test_short_and_smooth_series_are_taken_whole() -> None:
-    """Below 65536 any length is quick; a smooth one always is."""
+def test_short_and_smooth_lengths_are_not_reduced() -> None:
+    """All lengths below 65536 are fast."""
     lengths = (1, 2, 13, 997, 65_521, 65_536, 1_000_000, 2_160_000)
     assert [fast_length(n) for n in lengths] == list(lengths)
 
 
 @pytest.mark.parametrize("sizes", [(1, 1, 1), (2, 0, 1), (2, 1, 0)])
-def test_refuses_sizes_of_bins_below_the_least(sizes: tuple[int, int, int]) -> None:
-    """Two samples, one single ordinate and one bin an octave are enough; any of them less is not."""
+def test_too_small_sizes_of_bins_are_rejected(sizes: tuple[int, int, int]) -> None:
+    """Two samples, one single ordinate and one bin per octave are the minimum."""
     assert dct_bins(2, singles=1, per_octave=1).count.tolist() == [1]
     n, singles, per_octave = sizes
     with pytest.raises(ValueError, match=f"got {n}, {singles}, {per_octave}"):
         dct_bins(n, singles=singles, per_octave=per_octave)
 
 
-def test_a_shared_transform_is_made_once_and_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs of more than half of the samples are transformed once; others, and copies, each time."""
+def test_a_shared_transform_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs of more than half of the samples are transformed once, shorter runs and copies each time."""
     samples = np.random.default_rng(77).standard_normal(1000)
     expected = dct_ordinates(samples[:900])
     made: list[int] = []
@@ -125,8 +125,8 @@ def test_a_shared_transform_is_made_once_and_is_the_same(monkeypatch: pytest.Mon
     assert made == [900, 900, 400, 400, 900]
 
 
-def test_a_shared_number_is_worked_out_once() -> None:
-    """Of the shared samples only: of others, and of a part of them, each time."""
+def test_a_shared_number_is_computed_once() -> None:
+    """Only the shared samples count; numbers of copies and parts are computed each time."""
     samples, calls = np.arange(100.0), []
 
     def work() -> float:
@@ -142,8 +142,8 @@ def test_a_shared_number_is_worked_out_once() -> None:
     assert shared_number(samples, "n", work) == 8.0
 
 
-def test_a_shared_transform_may_be_given_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    """To one who writes to it; the next who asks gets a new one. Others' are read-only."""
+def test_a_shared_transform_can_be_owned(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The owner may write to it, and the next caller gets a new one; shared ones are read-only."""
     samples = np.random.default_rng(78).standard_normal(500)
     made: list[int] = []
     plain = dct_module._transform
@@ -170,8 +170,8 @@ def test_a_shared_transform_may_be_given_away(monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.parametrize("n", [2, 3, 64, 501, 8193, 30_000])
 @pytest.mark.parametrize("first", [1, 2, 7, 250])
-def test_a_ramp_is_the_same_in_parts(n: int, first: int) -> None:
-    """Whole or from any ordinate on: its closed form to the last digits, though few sines are computed."""
+def test_a_ramp_agrees_with_its_closed_form_in_parts(n: int, first: int) -> None:
+    """A start at any ordinate is exact to the last digits, although few sines are computed."""
     k = np.arange(1, n)
     half = np.pi / (2 * n) * k
     closed = np.where(k % 2 == 1, -np.sqrt(2 / n) * np.cos(half) / (2 * np.sin(half) ** 2), 0.0)
@@ -183,8 +183,8 @@ def test_a_ramp_is_the_same_in_parts(n: int, first: int) -> None:
     )
 
 
-def test_parts_of_bins_hold_every_ordinate_once() -> None:
-    """In order, each with the places where its bins begin."""
+def test_parts_of_bins_contain_every_ordinate_once() -> None:
+    """Parts are in order and have the starts of their bins."""
     bins = dct_bins(500_000)
     for here, seen, starts in bins.parts():
         npt.assert_array_equal(bins.first[here] - 1, seen.start + starts)

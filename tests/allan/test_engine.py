@@ -1,4 +1,4 @@
-"""`allan_curve`: from an axis to its curve."""
+"""Tests of `allan_curve`, from an axis to its curve."""
 
 import numpy as np
 import numpy.testing as npt
@@ -16,7 +16,7 @@ SERIES = AxisSeries.from_samples(SAMPLES, rate_hz=200.0, sensor="accelerometer",
 
 
 def test_the_default_curve() -> None:
-    """Octaves up to n/4, exact, hybrid degrees of freedom that stay above 2."""
+    """It is exact at octaves up to n/4, with hybrid degrees of freedom above 2."""
     curve = allan_curve(SERIES)
     npt.assert_array_equal(curve.m, [1, 2, 4, 8, 16, 32, 64, 128])
     npt.assert_allclose(curve.tau, curve.m / 200.0)
@@ -36,7 +36,7 @@ def test_the_default_curve() -> None:
 @pytest.mark.parametrize("edf", ["hybrid", "model", "greenhall"])
 @pytest.mark.parametrize("taus", ["octave", "decade:5", "all", [0.005, 0.1]])
 def test_every_combination_gives_a_curve(estimator: str, edf: str, taus: str | list[float]) -> None:
-    """Rising tau, positive values, finite degrees of freedom."""
+    """Times increase, values are positive, and degrees of freedom are finite."""
     series = AxisSeries.from_samples(SAMPLES[:200], rate_hz=200.0)
     curve = allan_curve(series, taus=taus, estimator=estimator, edf=edf)
     assert isinstance(curve, AllanCurve)
@@ -46,16 +46,16 @@ def test_every_combination_gives_a_curve(estimator: str, edf: str, taus: str | l
     assert curve.m[-1] <= ESTIMATORS[estimator].largest(200)
 
 
-def test_on_request_values_go_to_one_degree_of_freedom() -> None:
-    """``all`` and a list reach m = n/2, where a single difference is left."""
+def test_requested_times_go_up_to_half_of_the_record() -> None:
+    """``all`` and a list reach m = n/2, where a single difference remains."""
     everything = allan_curve(SERIES, taus="all")
     assert everything.m[-1] == 500
     assert everything.edf[-1] == pytest.approx(1.0)
     assert allan_curve(SERIES, taus=[2.5]).m.tolist() == [500]
 
 
-def test_samples_that_are_not_finite_count_as_missing() -> None:
-    """The curve with NaN is the curve without those samples, and holds no NaN."""
+def test_non_finite_samples_count_as_missing() -> None:
+    """The curve equals that without these samples and contains no NaN."""
     spoiled = SAMPLES.copy()
     spoiled[[10, 11, 700]] = [np.nan, np.inf, -np.inf]
     keep = np.ones(1000, dtype=bool)
@@ -69,8 +69,8 @@ def test_samples_that_are_not_finite_count_as_missing() -> None:
     assert np.all(np.isfinite(curve.edf))
 
 
-def test_segments_that_touch_are_no_gap() -> None:
-    """A clock may be cut where nothing is missing."""
+def test_adjacent_segments_are_not_a_gap() -> None:
+    """A clock may have several segments without missing samples."""
     segments = (Segment(start=0, stop=400, offset=0), Segment(start=400, stop=1000, offset=400))
     clock = Clock(source="test", rate_hz=200.0, segments=segments)
     series = AxisSeries(sensor=Sensor.GYROSCOPE, axis="x", samples=SAMPLES, clock=clock)
@@ -89,8 +89,8 @@ def test_segments_that_touch_are_no_gap() -> None:
         (2, "hadamard", 3),
     ],
 )
-def test_refuses_too_few_samples(n: int, estimator: str, needed: int) -> None:
-    """The message says what was found and what is needed."""
+def test_too_few_samples_are_rejected(n: int, estimator: str, needed: int) -> None:
+    """The error contains the given and the required number."""
     with pytest.raises(DataError) as caught:
         allan_curve(AxisSeries.from_samples(SAMPLES[:n], rate_hz=1.0), estimator=estimator)
     assert str(caught.value) == (
@@ -101,20 +101,18 @@ def test_refuses_too_few_samples(n: int, estimator: str, needed: int) -> None:
 
 @pytest.mark.parametrize("n", [2, 3, 4, 5, 8, 9, 16])
 def test_the_shortest_series_have_a_curve(n: int) -> None:
-    """Two samples give one value of one degree of freedom."""
+    """Two samples give one value with one degree of freedom."""
     curve = allan_curve(AxisSeries.from_samples(SAMPLES[:n], rate_hz=1.0))
     assert curve.m[0] == 1
     npt.assert_allclose(curve.avar, [naive_moav(SAMPLES[:n], k) for k in curve.m.tolist()], rtol=1e-9)
 
 
-def test_only_what_is_not_finite_is_nothing() -> None:
-    """All NaN: zero samples, one message."""
+def test_samples_without_finite_values_are_rejected() -> None:
     with pytest.raises(DataError, match="0 neighbouring samples are too few"):
         allan_curve(AxisSeries.from_samples(np.full(10, np.nan), rate_hz=1.0))
 
 
-def test_refuses_unknown_options() -> None:
-    """Caller's mistakes, with what is known."""
+def test_unknown_options_are_rejected() -> None:
     with pytest.raises(ValueError, match="estimator 'total' is not known"):
         allan_curve(SERIES, estimator="total")
     with pytest.raises(ValueError, match="edf method 'none' is not known"):
@@ -126,8 +124,7 @@ def test_refuses_unknown_options() -> None:
         allan_curve(SERIES.keeping(keep), edf="none")
 
 
-def test_the_input_is_left_as_it_was() -> None:
-    """Nothing is written to the caller's samples."""
+def test_the_samples_are_not_modified() -> None:
     before = SAMPLES.copy()
     allan_curve(SERIES, taus="all", estimator="modified")
     npt.assert_array_equal(SAMPLES, before)

@@ -1,4 +1,4 @@
-"""What every estimator of the table needs beside its line there; what is missing is said in a sentence."""
+"""Tests that every estimator of the table is complete: witness, published value, docs and option."""
 
 from pathlib import Path
 
@@ -12,8 +12,8 @@ from tests.allan.witness import PUBLISHED, WITNESSES
 PAGE = Path(__file__).parents[2] / "docs" / "science-allan.md"
 
 
-def forgotten(name: str, estimator: Estimator) -> list[str]:
-    """Return what an estimator lacks, each with where to add it."""
+def missing_parts(name: str, estimator: Estimator) -> list[str]:
+    """Return the missing parts of an estimator, each with the place to add it."""
     offered = next(option.type for option in command.params if option.name == "estimator")
     lacks = {
         f"its line says {estimator.name!r}: give it the name of its key in ESTIMATORS": estimator.name
@@ -37,14 +37,14 @@ def forgotten(name: str, estimator: Estimator) -> list[str]:
 
 @pytest.mark.parametrize("name", ESTIMATORS)
 def test_an_estimator_is_complete(name: str) -> None:
-    """Its names, witness, published value and rows are there."""
-    assert forgotten(name, ESTIMATORS[name]) == []
+    """Its names, witness, published value and rows exist."""
+    assert missing_parts(name, ESTIMATORS[name]) == []
 
 
 def test_an_incomplete_new_estimator_is_reported() -> None:
-    """A line in the table alone, with a slip in it: one sentence for each thing that is missing."""
+    """An estimator with a wrong name that is only in the table gets one sentence per missing part."""
     fake = Estimator(name="totl", integrations=1, order=2, overlapping=True, weight=2)
-    assert forgotten("total", fake) == [
+    assert missing_parts("total", fake) == [
         "total: its line says 'totl': give it the name of its key in ESTIMATORS",
         "total: no slow witness: add its definition, word for word, to WITNESSES in tests/allan/witness.py",
         "total: no published value: add what NIST SP 1065 prints to PUBLISHED in tests/allan/witness.py",

@@ -1,4 +1,4 @@
-"""Missing samples: nothing is invented, nothing is biased, intervals still cover."""
+"""Tests of Allan variances with missing samples: no bias, valid intervals, no invented samples."""
 
 from dataclasses import replace
 
@@ -45,7 +45,7 @@ def _bursts(rng: np.random.Generator, number: int, share: float, places: int = P
 
 
 def _naive_windows(samples: FloatArray, keep: NDArray[np.bool_], m: int) -> float:
-    """Return half the mean square of differences of window means of what is there."""
+    """Return half the mean square of differences between window means of the present samples."""
     squares = []
     for start in range(samples.size - 2 * m + 1):
         parts = [slice(start, start + m), slice(start + m, start + 2 * m)]
@@ -56,7 +56,7 @@ def _naive_windows(samples: FloatArray, keep: NDArray[np.bool_], m: int) -> floa
 
 
 def _naive_pairs(samples: FloatArray, keep: NDArray[np.bool_], m: int) -> float:
-    """Return the Allan variance of the mean square differences of all pairs that are there."""
+    """Return the Allan variance from the mean square differences of all present pairs."""
     total = 0.0
     for k in range(1, 2 * m):
         both = keep[k:] & keep[:-k]
@@ -65,8 +65,8 @@ def _naive_pairs(samples: FloatArray, keep: NDArray[np.bool_], m: int) -> float:
     return float(total / (2 * m * m))
 
 
-def test_windows_are_their_definition() -> None:
-    """Before what the losses add is taken out: a loop over all pairs of windows, to rounding."""
+def test_windows_agree_with_their_definition() -> None:
+    """Before the correction for losses, a loop over all pairs of windows agrees to rounding."""
     rng = np.random.default_rng(1)
     samples, keep = MODEL.simulate(500, rate_hz=1.0, rng=rng) + 9.8, _scattered(rng, 500)
     keep[0] = keep[-1] = True
@@ -77,8 +77,8 @@ def test_windows_are_their_definition() -> None:
     )
 
 
-def test_windows_far_from_a_gap_are_their_definition_too() -> None:
-    """Few gaps in many places, where windows that hold equally many are summed without being counted."""
+def test_windows_far_from_gaps_agree_with_their_definition() -> None:
+    """With few gaps, full windows are summed without counting their samples."""
     rng = np.random.default_rng(31)
     samples, keep = MODEL.simulate(90_000, rate_hz=1.0, rng=rng) - 9.8, np.ones(90_000, dtype=bool)
     for start, length in ((20_000, 1), (41_000, 700), (41_900, 5000)):
@@ -97,10 +97,10 @@ def test_windows_far_from_a_gap_are_their_definition_too() -> None:
 
 
 @pytest.mark.parametrize(("gaps", "length"), [(3, 200), (12, 5000)])
-def test_long_records_are_looked_at_no_less_than_matters(
+def test_shortcuts_for_long_records_are_accurate(
     gaps: int, length: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Long runs by themselves give what rows of all give; fewer windows inside leave 1 % of the interval."""
+    """Separate long runs agree with rows; fewer windows inside runs cost 1 % of the interval."""
     rng, n = np.random.default_rng(7741), 1_600_000
     samples = rng.standard_normal(n) + 2e-3 * rng.standard_normal(n).cumsum()
     keep = np.ones(n, dtype=bool)
@@ -119,19 +119,19 @@ def test_long_records_are_looked_at_no_less_than_matters(
     assert np.any(rows.avar != every.avar)
 
 
-def test_agrees_with_the_estimator_from_all_pairs() -> None:
-    """An independent unbiased estimator, on the same samples, at averages where both are sharp."""
+def test_windows_agree_with_the_estimator_from_all_pairs() -> None:
+    """It is independent and unbiased; both are precise at these averaging times."""
     rng = np.random.default_rng(10)
     samples, keep = MODEL.simulate(20_000, rate_hz=1.0, rng=rng), _scattered(rng, 20_000)
     keep[0] = keep[-1] = True
     m = np.array([1, 2, 4, 8, 16])
     pairs = [_naive_pairs(samples, keep, k) for k in m.tolist()]
-    # The two weigh pairs differently: a percent or two of 20,000/m windows.
+    # The weights of pairs differ, which causes 1 to 2 % with 20,000/m windows.
     npt.assert_allclose(window_variances(_series(samples, keep), m).avar, pairs, rtol=0.03)
 
 
-def test_without_gaps_nothing_is_lost() -> None:
-    """Then windows are the exact values, and nothing is taken out."""
+def test_values_without_gaps_are_exact() -> None:
+    """There is no correction for losses."""
     samples = MODEL.simulate(4096, rate_hz=1.0, rng=np.random.default_rng(2))
     m = np.array([1, 4, 64])
     found = window_variances(_series(samples), m)
@@ -160,7 +160,7 @@ def _pattern(kind: str, rng: np.random.Generator, places: int) -> NDArray[np.boo
     first_by_default(["10 % scattered", "20 bursts of 0.5 %", "5 bursts of 4 %", "many bursts of 8"], 2),
 )
 def test_values_are_unbiased(kind: str) -> None:
-    """60 series with N and K, m = 1, 16, 256, 1024: the mean is right to four standard errors.
+    """The mean over 60 series with N and K is right to four standard errors at m = 1, 16, 256, 1024.
 
     The full study is in docs/results/accuracy.md.
     """
@@ -175,8 +175,8 @@ def test_values_are_unbiased(kind: str) -> None:
 
 
 @pytest.mark.parametrize("share", [0.1, 0.6])
-def test_white_noise_stays_white_whatever_is_lost(share: float) -> None:
-    """N alone: a tenth or more than half of the samples lost at random changes no value."""
+def test_random_losses_do_not_bias_white_noise(share: float) -> None:
+    """The shares of lost samples are 10 and 60 %."""
     rng, m = np.random.default_rng(11), np.array([1, 2, 3, 10, 100])
     ratios = []
     for _ in range(40):
@@ -188,26 +188,26 @@ def test_white_noise_stays_white_whatever_is_lost(share: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["10 % scattered", "5 bursts of 4 %", "many bursts of 8"])
-def test_intervals_cover_through_gaps(kind: str) -> None:
-    """150 series of 4096 places: between 87 and 100 % at every octave, 92 to 98 % on average."""
+def test_intervals_with_gaps_have_the_nominal_coverage(kind: str) -> None:
+    """In 150 series of 4096 samples it is 87 to 100 % at every octave and 92 to 98 % on average."""
     rng = np.random.default_rng(4)
-    held, count = np.zeros((2, 11))
+    covered, count = np.zeros((2, 11))
     for _ in range(150):
         samples = MODEL.simulate(4096, rate_hz=100.0, rng=rng)
         curve = allan_curve(_series(samples, _pattern(kind, rng, 4096)))
         true = np.sqrt(MODEL.avar(curve.m.astype(np.float64), rate_hz=100.0))
         low, high = curve.confidence_interval(0.95)
         there = np.isin(2 ** np.arange(11), curve.m)
-        held[there] += (low <= true) & (true <= high)
+        covered[there] += (low <= true) & (true <= high)
         count[there] += 1
     assert count.min() > 120
-    share = held / count
+    share = covered / count
     assert share.min() > 0.95 - 4.5 * np.sqrt(0.95 * 0.05 / 150)
     assert 0.92 < share.mean() < 0.98
 
 
 def test_no_value_has_less_than_one_degree_of_freedom() -> None:
-    """Of 64 places, half of them lost, the longest averages have exactly that one."""
+    """With half of 64 samples lost, the longest averages have exactly one."""
     rng = np.random.default_rng(0)
     keep = rng.random(64) >= 0.5
     keep[0] = keep[-1] = True
@@ -216,8 +216,8 @@ def test_no_value_has_less_than_one_degree_of_freedom() -> None:
     assert np.all(edf >= 1.0)
 
 
-def test_too_little_is_refused() -> None:
-    """Three samples far apart have no neighbouring windows."""
+def test_isolated_samples_are_rejected() -> None:
+    """Three samples far apart have no adjacent windows."""
     keep = np.zeros(2001, dtype=bool)
     keep[[0, 500, 2000]] = True
     with pytest.raises(DataError) as caught:
@@ -229,7 +229,7 @@ def test_too_little_is_refused() -> None:
 
 
 def test_a_constant_with_gaps_has_a_curve_of_zeros() -> None:
-    """A stuck sensor is for the screening to tell; here it has no variance."""
+    """The screening reports a stuck sensor; here its variance is zero."""
     keep = np.arange(1000) % 7 != 3
     curve = allan_curve(_series(np.full(1000, 9.81), keep))
     npt.assert_allclose(curve.avar, 0.0, atol=1e-25)
@@ -237,8 +237,8 @@ def test_a_constant_with_gaps_has_a_curve_of_zeros() -> None:
 
 
 @pytest.mark.parametrize("name", ["standard", "modified", "hadamard"])
-def test_other_estimators_stay_inside_the_runs(name: str) -> None:
-    """The mean over the runs, by their number of differences; a jump between runs leaves no trace."""
+def test_other_estimators_use_differences_inside_runs_only(name: str) -> None:
+    """The value is the mean over runs weighted by their differences, so a jump between runs has no effect."""
     rng, table = np.random.default_rng(6), ESTIMATORS[name]
     samples = rng.standard_normal(3000)
     samples[1100:] += 50.0
@@ -255,8 +255,8 @@ def test_other_estimators_stay_inside_the_runs(name: str) -> None:
     assert longest_run(series.clock) == 1900
 
 
-def test_segments_that_touch_are_one_run() -> None:
-    """Two files of one recording may follow each other without a gap; then a third begins after one."""
+def test_adjacent_segments_are_one_run() -> None:
+    """Two files of a recording may be contiguous; here a third follows after a gap."""
     segments = ((0, 400, 0), (400, 1000, 400), (1000, 1500, 1007))
     parts = tuple(Segment(start=start, stop=stop, offset=offset) for start, stop, offset in segments)
     samples = np.random.default_rng(8).standard_normal(1500)
@@ -269,8 +269,8 @@ def test_segments_that_touch_are_one_run() -> None:
     npt.assert_array_equal(found.terms, terms.sum(axis=0))
 
 
-def test_a_factor_beyond_every_run_is_left_out() -> None:
-    """Runs of 40 support no third difference of 20."""
+def test_a_factor_too_long_for_every_run_is_omitted() -> None:
+    """Runs of 40 samples have no third difference of 20."""
     keep = np.ones(1000, dtype=bool)
     keep[40::41] = False
     values = run_variances(
@@ -282,7 +282,7 @@ def test_a_factor_beyond_every_run_is_left_out() -> None:
 
 
 def _naive_added(samples: FloatArray, keep: NDArray[np.bool_], m: int) -> float:
-    """Return what losses add to the half mean square of `_naive_windows`: loops over windows and lags."""
+    """Return the contribution of losses to `_naive_windows`, from loops over windows and lags."""
     n = samples.size
     fewest = max(keep.mean() / 2 * m, 1.0)
     centred = np.where(keep, samples - samples[keep].mean(), 0.0)
@@ -311,10 +311,10 @@ def _naive_added(samples: FloatArray, keep: NDArray[np.bool_], m: int) -> float:
 
 
 @pytest.mark.parametrize("share", [0.3, 0.75])
-def test_what_losses_add_is_its_definition(share: float) -> None:
-    """Of bursts of some three samples and slow noise: loops over windows and over lags, to rounding.
+def test_the_contribution_of_losses_agrees_with_its_definition(share: float) -> None:
+    """For bursts of about three samples and slow noise, loops over windows and lags agree to rounding.
 
-    Where less than half is there, a window needs half of that share only.
+    If less than half is present, a window needs only half of that share.
     """
     rng, n = np.random.default_rng(21), 400
     samples = MODEL.simulate(n, rate_hz=1.0, rng=rng).cumsum()
@@ -328,8 +328,8 @@ def test_what_losses_add_is_its_definition(share: float) -> None:
     assert np.all(np.abs(found.inflation - 1) > 1e-3)
 
 
-def test_values_below_zero_and_without_differences_are_left_out() -> None:
-    """A constant's zeros stay; an inflation is never below 1, and 1 where nothing was taken out."""
+def test_negative_values_and_values_without_differences_are_omitted() -> None:
+    """Zeros of a constant are kept, and an inflation is at least 1."""
     found = _positive(
         np.array([1, 2, 3, 4, 5]),
         np.array([2.0, -1.0, 0.0, 1.0, 3.0]),
@@ -342,8 +342,8 @@ def test_values_below_zero_and_without_differences_are_left_out() -> None:
     npt.assert_array_equal(found.inflation, [1.5, 1.0, 1.0])
 
 
-def test_the_pattern_of_losses_is_followed_chunk_by_chunk(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pairs inside chunks of 64 places, the last of them shorter: loops over chunks and lags."""
+def test_the_pattern_of_losses_is_computed_in_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pairs are inside chunks of 64 samples, the last one shorter; loops over chunks and lags agree."""
     monkeypatch.setattr(variance, "_CHUNK", 64)
     rng, n = np.random.default_rng(22), 150
     samples, keep = rng.standard_normal(n).cumsum(), np.repeat(rng.random(n // 3) < 0.6, 3)
@@ -366,8 +366,8 @@ def test_the_pattern_of_losses_is_followed_chunk_by_chunk(monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("length", "count", "lags"), [(0, 0, 1), (1, 30, 4), (3, 20, 12), (70, 2, 256), (300, 2, 256)]
 )
-def test_the_pattern_is_followed_for_four_mean_gaps(length: int, count: int, lags: int) -> None:
-    """At least one lag, at most 256 and the length of the record."""
+def test_the_pattern_covers_four_mean_gaps(length: int, count: int, lags: int) -> None:
+    """There is at least one lag, and at most 256 or the length of the record."""
     keep = np.ones(1000, dtype=bool)
     for start in range(10, 10 + count * (length + 2), length + 2):
         keep[start : start + length] = False

@@ -1,4 +1,4 @@
-"""What the estimators let through of a spectrum."""
+"""Tests of the power response of the estimators."""
 
 import numpy as np
 import numpy.testing as npt
@@ -21,13 +21,13 @@ def test_single_ordinates_have_the_published_response() -> None:
 
 @pytest.mark.parametrize("name", ["overlapping", "hadamard"])
 def test_wide_bins_have_the_mean_of_their_ripples(name: str) -> None:
-    """The mean over so fine a grid that it follows each ripple, and that of the square."""
+    """The reference is a grid that is fine enough for every ripple, for the response and its square."""
     bins, m, estimator = dct_bins(400_000), 40_000, ESTIMATORS[name]
     at = bins.size - 40
     grid = np.pi / bins.n * np.linspace(bins.first[at], bins.first[at] + bins.count[at], 400_001)
     ripple = (2 * np.sin(m * grid / 2)) ** (2 * estimator.order)
     tail = (2 * np.sin(bins.omega[at] / 2)) ** (-2 * estimator.integrations) / estimator.scale(m)
     response, squared = power_response(bins, m, estimator)
-    # The bin holds some two hundred ripples, of which one may be cut off.
+    # The bin contains about 200 ripples, one of which may be truncated.
     npt.assert_allclose(response[at], ripple.mean() * tail, rtol=0.01)
     npt.assert_allclose(squared[at], (ripple**2).mean() * tail**2, rtol=0.01)

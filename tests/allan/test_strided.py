@@ -1,4 +1,4 @@
-"""Logs that do not fit in memory: large averaging times are strided and differ little from exact values."""
+"""Tests of curves of logs larger than memory: strided values at large averaging times are nearly exact."""
 
 import numpy as np
 import numpy.testing as npt
@@ -12,18 +12,18 @@ from imucal.recording import AxisSeries
 
 @pytest.fixture
 def _little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pretend that the machine has a hundred kilobytes."""
+    """Reduce the memory limit to 25 kB."""
     monkeypatch.setattr(engine, "memory_limit", lambda: 25_000)
 
 
 def noise(n: int) -> AxisSeries:
-    """White noise on a walk."""
+    """Return white noise plus a random walk."""
     rng = np.random.default_rng(11)
     return AxisSeries.from_samples(rng.normal(size=n) + 0.02 * np.cumsum(rng.normal(size=n)), rate_hz=100.0)
 
 
 def within_the_interval(strided: AllanCurve, exact: AllanCurve, share: float) -> bool:
-    """Say whether two curves of the same factors differ by less than a share of the interval's width."""
+    """Whether two curves of the same factors differ by less than a share of the interval's width."""
     low, high = exact.confidence_interval()
     return bool(np.all(np.abs(strided.adev - exact.adev) < share * (high - low)))
 
@@ -49,8 +49,8 @@ def test_strided_values_are_within_a_hundredth_of_the_interval(
 
 
 @pytest.mark.usefixtures("_little_memory")
-def test_strides_are_counted_in_the_degrees_of_freedom() -> None:
-    """They fall with m and stay below the number of independent windows."""
+def test_degrees_of_freedom_of_strided_values_are_plausible() -> None:
+    """They decrease with m and stay below twice the number of independent windows."""
     curve = allan_curve(noise(300_000))
     assert np.all(np.diff(curve.edf) < 0)
     assert np.all(curve.edf <= 2 * 300_000 / curve.m)
@@ -58,7 +58,7 @@ def test_strides_are_counted_in_the_degrees_of_freedom() -> None:
 
 @pytest.mark.usefixtures("_little_memory")
 def test_no_difference_spans_a_gap() -> None:
-    """A jump at a gap has no effect: the value is the mean over both parts, weighted by their terms."""
+    """A jump at a gap has no effect: the value is the mean over both parts weighted by their terms."""
     parts = (noise(50_000).samples, noise(30_000).samples + 1e3)
     samples = np.concatenate([parts[0], [np.nan], parts[1]])
     curve = allan_curve(AxisSeries.from_samples(samples, rate_hz=1.0))
@@ -67,7 +67,7 @@ def test_no_difference_spans_a_gap() -> None:
     values = [variances(part, small, overlapping) for part in parts]
     expected = (terms[0] * values[0] + terms[1] * values[1]) / (terms[0] + terms[1])
     npt.assert_allclose(curve.avar[: small.size], expected, rtol=1e-7)
-    # At m = 8192 differences start at every 64th sample of each part.
+    # At m = 8192, differences start at every 64th sample of each part.
     sums = [part[: part.size // 64 * 64].reshape(-1, 64).sum(axis=1) for part in parts]
     angle = [np.concatenate([[0.0], np.cumsum(part - part.mean())]) for part in sums]
     steps = np.concatenate([x[256:] - 2 * x[128:-128] + x[:-256] for x in angle])
@@ -84,8 +84,8 @@ def test_samples_of_single_precision_are_summed_in_double() -> None:
     npt.assert_allclose(curve.avar[curve.m < 8192], exact, rtol=1e-10)
 
 
-def test_single_samples_between_gaps_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """There are no two neighbours."""
+def test_isolated_samples_are_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There are no two adjacent samples."""
     monkeypatch.setattr(engine, "memory_limit", lambda: 1)
     series = AxisSeries.from_samples(np.array([1.0, np.nan, 4.0]), rate_hz=10.0)
     with pytest.raises(DataError, match="3 samples are too few for an Allan variance"):
@@ -96,13 +96,12 @@ def test_single_samples_between_gaps_are_refused(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.usefixtures("_little_memory")
 def test_a_listed_time_is_exact() -> None:
-    """A single averaging time is computed exactly."""
     assert allan_curve(noise(5_000), taus=[0.37]).computed == "exact"
 
 
 @pytest.mark.usefixtures("_little_memory")
 def test_values_with_missing_samples_are_in_the_intervals() -> None:
-    """Gaps and NaN are treated alike, and no value is NaN."""
+    """Gaps and NaN are equivalent, and no value is NaN."""
     series = noise(40_000)
     samples = series.samples.copy()
     samples[10_000:10_050] = np.nan
@@ -112,7 +111,7 @@ def test_values_with_missing_samples_are_in_the_intervals() -> None:
     curve = allan_curve(gappy)
     assert curve.computed == "strided"
     assert np.all(np.isfinite(curve.avar))
-    whole = allan_curve(series)
-    shared = min(curve.tau.size, whole.tau.size)
-    low, high = whole.confidence_interval(0.999)
+    full = allan_curve(series)
+    shared = min(curve.tau.size, full.tau.size)
+    low, high = full.confidence_interval(0.999)
     assert np.all((curve.adev[:shared] > low[:shared]) & (curve.adev[:shared] < high[:shared]))

@@ -1,4 +1,4 @@
-"""The exact variances: witnesses, published values, laws and refusals."""
+"""Tests of exact variances: slow references, published values, invariances and errors."""
 
 import json
 
@@ -14,7 +14,7 @@ from imucal.arrays import FloatArray
 from tests.allan.witness import PUBLISHED, WITNESSES, exact_avar, naive_moav
 from tests.real_data import real_data
 
-#: Estimator -> AllanTools' function.
+#: Estimator -> function of AllanTools.
 PEERS = {
     "overlapping": allantools.oadev,
     "standard": allantools.adev,
@@ -30,23 +30,23 @@ def _of(samples: FloatArray, m: list[int], name: str = "overlapping") -> FloatAr
     return variances(samples, np.array(m), ESTIMATORS[name])
 
 
-def test_the_overlapping_variance_is_its_definition() -> None:
-    """Half the mean square of the differences of neighbouring means, all n - 2m + 1 of them."""
+def test_the_overlapping_variance_agrees_with_its_definition() -> None:
+    """It is half the mean square of all n - 2m + 1 differences between adjacent means."""
     m = [1, 2, 3, 7, 64, 133, 199, 200]
     npt.assert_allclose(_of(NOISE, m), [naive_moav(NOISE, k) for k in m], rtol=1e-11)
 
 
 @pytest.mark.parametrize("name", WITNESSES)
-def test_every_estimator_is_its_published_sum(name: str) -> None:
-    """NIST SP 1065, word for word, up to the largest factor that the samples allow."""
+def test_every_estimator_agrees_with_its_published_sum(name: str) -> None:
+    """The reference implements NIST SP 1065 literally, up to the largest possible factor."""
     largest = ESTIMATORS[name].largest(NOISE.size)
     m = [1, 2, 3, 10, 57, largest - 1, largest]
     npt.assert_allclose(_of(NOISE, m, name), [WITNESSES[name](NOISE, k) for k in m], rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", PEERS)
-def test_blocks_and_columns_do_not_show(name: str) -> None:
-    """A series of several blocks, with factors about every boundary, agrees with AllanTools."""
+def test_blocks_do_not_change_the_variances(name: str) -> None:
+    """A series of several blocks agrees with AllanTools at factors near all block boundaries."""
     samples = np.random.default_rng(1).standard_normal(100_003) + 9.8
     m = np.array([1, 2, 5, 63, 1000, 8191, 8192, 8193, 16384, 20_000, 32_768, 32_769, 33_000])
     _, deviation, _, _ = PEERS[name](
@@ -60,7 +60,7 @@ def test_blocks_and_columns_do_not_show(name: str) -> None:
     ("name", "key"),
     [("standard", "adev"), ("overlapping", "oadev"), ("modified", "mdev"), ("hadamard", "ohdev")],
 )
-def test_published_values_to_every_printed_digit(series: str, file: str, name: str, key: str) -> None:
+def test_published_values_agree_in_every_printed_digit(series: str, file: str, name: str, key: str) -> None:
     """NIST SP 1065 (2008), sec. 12.4, tables 30 and 31: seven digits each."""
     folder = real_data("reference", "nist_sp1065")
     published = json.loads((folder / "expected.json").read_text(encoding="utf-8"))[series]
@@ -70,14 +70,14 @@ def test_published_values_to_every_printed_digit(series: str, file: str, name: s
         assert f"{value:.7g}" == f"{printed:.7g}"
 
 
-def test_the_nbs14_values_need_no_other_file() -> None:
+def test_the_nbs14_series_has_its_published_deviations() -> None:
     """NIST SP 1065, p. 107: the nine-point series, overlapping Allan and modified deviations."""
     nbs14 = np.array([892, 809, 823, 798, 671, 644, 883, 903, 677], dtype=np.float64)
     npt.assert_allclose(np.sqrt(_of(nbs14, [1, 2])), [91.22945, 85.95287], rtol=1e-7)
     npt.assert_allclose(np.sqrt(_of(nbs14, [1, 2], "modified")), [91.22945, 74.78849], rtol=1e-7)
 
 
-def test_the_thousand_point_series_is_generated_and_matched() -> None:
+def test_the_thousand_point_series_has_its_published_deviations() -> None:
     """NIST SP 1065, p. 108: n(i+1) = 16807 n(i) mod 2147483647 from 1234567890."""
     state, values = 1234567890, []
     for _ in range(1000):
@@ -89,8 +89,8 @@ def test_the_thousand_point_series_is_generated_and_matched() -> None:
 
 
 @pytest.mark.parametrize("mean", [0, 9_800_000])
-def test_relative_error_below_1e_12_against_exact_integers(mean: int) -> None:
-    """White noise of sigma 1000 on a mean of 0 and of 9.8e6, integrated exactly as integers."""
+def test_the_relative_error_is_below_1e_12(mean: int) -> None:
+    """White noise of sigma 1000 with a mean of 0 and 9.8e6 is integrated exactly as integers."""
     rng = np.random.default_rng(2)
     whole = np.rint(rng.standard_normal(300_000) * 1000).astype(np.int64) + mean
     m = [1, 2, 30, 1000, 8192, 8193, 60_000, 150_000]
@@ -98,8 +98,8 @@ def test_relative_error_below_1e_12_against_exact_integers(mean: int) -> None:
     npt.assert_allclose(_of(whole.astype(np.float64), m), exact, rtol=1e-12)
 
 
-def test_relative_error_below_1e_12_for_a_random_walk() -> None:
-    """The worst case: the integral of a random walk dwarfs its differences."""
+def test_the_relative_error_of_a_random_walk_is_below_1e_12() -> None:
+    """It is the worst case, because the integral is much larger than its differences."""
     rng = np.random.default_rng(3)
     whole = np.cumsum(np.rint(rng.standard_normal(300_000) * 100)).astype(np.int64)
     m = [1, 3, 100, 8193, 100_000]
@@ -109,14 +109,13 @@ def test_relative_error_below_1e_12_for_a_random_walk() -> None:
 @pytest.mark.parametrize("name", ESTIMATORS)
 @given(offset=st.floats(-1e3, 1e3), gain=st.floats(1e-3, 1e3))
 @settings(max_examples=20, deadline=None)
-def test_ignores_an_offset_and_follows_a_gain(name: str, offset: float, gain: float) -> None:
-    """A constant bias has no variance; a scale factor squares."""
+def test_offsets_have_no_effect_and_gains_are_squared(name: str, offset: float, gain: float) -> None:
     before = _of(NOISE, [1, 4, 50], name)
     npt.assert_allclose(_of(offset + gain * NOISE, [1, 4, 50], name), gain**2 * before, rtol=1e-6)
 
 
 def test_a_drift_gives_half_its_square() -> None:
-    """A ramp of R a sample has the Allan variance R² m² / 2, and no Hadamard variance."""
+    """A ramp of R per sample has the Allan variance R² m² / 2 and no Hadamard variance."""
     ramp = 3e-4 * np.arange(50_000.0)
     m = [1, 10, 9000, 25_000]
     npt.assert_allclose(_of(ramp, m), [(3e-4 * k) ** 2 / 2 for k in m], rtol=1e-9)
@@ -124,34 +123,34 @@ def test_a_drift_gives_half_its_square() -> None:
 
 
 def test_a_reversed_series_has_the_same_variances() -> None:
-    """Time has no direction: the squares of the differences do not change."""
+    """Squared differences do not depend on the direction of time."""
     m = [1, 17, 120]
     npt.assert_allclose(_of(NOISE[::-1].copy(), m), _of(NOISE, m), rtol=1e-11)
 
 
 @pytest.mark.parametrize("size", [0, 1, 8191, 8192, 8193, 20_000])
-def test_sum_of_squares_of_any_length(size: int) -> None:
-    """Rows and tail together are the whole sum."""
+def test_the_sum_of_squares_is_right_for_any_length(size: int) -> None:
+    """Rows and the remainder add up to the total."""
     values = np.random.default_rng(size).standard_normal(size)
     assert sum_of_squares(values) == pytest.approx(float(np.sum(values**2)), rel=1e-13)
 
 
 @pytest.mark.parametrize("m", [0, 201])
-def test_refuses_a_factor_out_of_range(m: int) -> None:
-    """A caller's mistake, with the range that would do."""
+def test_a_factor_out_of_range_is_rejected(m: int) -> None:
+    """The error contains the valid range."""
     with pytest.raises(ValueError, match=r"averaging factors must be in 1\.\.200 for 400 samples"):
         _of(NOISE, [m])
 
 
-def test_refuses_an_unknown_estimator() -> None:
-    """The message lists the estimators."""
+def test_an_unknown_estimator_is_rejected() -> None:
+    """The error lists the estimators."""
     with pytest.raises(ValueError, match="expected one of overlapping, standard, modified, hadamard"):
         estimator_named("total")
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_terms_and_reach_agree(name: str) -> None:
-    """The largest factor leaves at least one difference, one more leaves none."""
+def test_the_largest_factor_leaves_one_difference(name: str) -> None:
+    """A larger factor leaves none."""
     table = ESTIMATORS[name]
     for n in range(table.order + 1, 60):
         largest = table.largest(n)

@@ -1,4 +1,4 @@
-"""Slow and obviously right: the definitions, word for word."""
+"""Slow reference implementations that follow the definitions literally."""
 
 import math
 from collections.abc import Callable
@@ -12,14 +12,14 @@ __all__ = ["PUBLISHED", "WITNESSES", "exact_avar", "naive_moav"]
 
 
 def naive_moav(samples: FloatArray, m: int) -> float:
-    """Return half the mean square of the differences of neighbouring window means, every start point."""
+    """Return half the mean square of the differences between adjacent window means at every start."""
     means = [samples[i : i + m].mean() for i in range(samples.size - m + 1)]
     differences = [after - before for before, after in zip(means, means[m:], strict=False)]
     return float(np.mean(np.square(differences)) / 2)
 
 
 def exact_avar(samples: NDArray[np.int64], m: int) -> float:
-    """Return the overlapping Allan variance of whole numbers, integrated without any rounding.
+    """Return the overlapping Allan variance of integers, integrated without rounding.
 
     The differences are exact integers below 2^53; their squares are rounded once, and summed exactly.
     """
@@ -58,7 +58,7 @@ def _hadamard(samples: FloatArray, m: int) -> float:
     return float(np.mean(np.square(steps)) / (6 * m**2))
 
 
-#: Estimator -> the sum of NIST SP 1065 (eqs. 10, 7, 15 and 22), with x the sum of the samples, tau0 = 1.
+#: Estimator -> sum of NIST SP 1065 (eqs. 10, 7, 15 and 22); x is the sum of the samples, tau0 = 1.
 WITNESSES: dict[str, Callable[[FloatArray, int], float]] = {
     "overlapping": _overlapping,
     "standard": _standard,
@@ -66,7 +66,7 @@ WITNESSES: dict[str, Callable[[FloatArray, int], float]] = {
     "hadamard": _hadamard,
 }
 
-#: Estimator -> its deviations of the 1000-point series at m = 1, 10, 100: NIST SP 1065, tables 30 and 31.
+#: Estimator -> deviations of the 1000-point series at m = 1, 10, 100: NIST SP 1065, tables 30 and 31.
 PUBLISHED: dict[str, tuple[str, str, str]] = {
     "overlapping": ("0.2922319", "0.09159953", "0.03241343"),
     "standard": ("0.2922319", "0.09965736", "0.03897804"),

@@ -1,4 +1,4 @@
-"""Monte Carlo of the fit: bias, error over the Cramér-Rao bound, coverage, selection.
+"""Monte Carlo study of the fit: bias, error relative to the Cramér-Rao bound, coverage, selection.
 
     python tests/benchmarks/accuracy.py settings --n 1000000 --repeats 200
     python tests/benchmarks/accuracy.py filters --n 262144 --repeats 100
@@ -6,8 +6,8 @@
     python tests/benchmarks/accuracy.py gaps --n 65536 --repeats 100
     python tests/benchmarks/accuracy.py exact --n 20000 --repeats 20
 
-Each prints a table in Markdown; `docs/results/accuracy.md` contains the last ones. The seed of a cell is
-made of the command, its row and `--seed`, so that rows can be run apart.
+Each command prints a table in Markdown; `docs/results/accuracy.md` contains the latest ones. The seed of a
+row depends on the command, the row and `--seed`, so that rows can be run separately.
 """
 
 import argparse
@@ -34,7 +34,7 @@ from imucal.noise.terms import GaussMarkov
 from imucal.recording import AxisSeries
 from tests.fitting.fits import ordinates_of
 
-#: The settings of the study: per-sample units, the sampling period is 1 s.
+#: Settings of the study: per-sample units, sampling period 1 s.
 SETTINGS = {
     "A": "N=1 + K=1e-3",
     "B": "N=1 + GM(sigma=0.1, T=500)",
@@ -43,7 +43,7 @@ SETTINGS = {
     "E": "N=1 + GM(sigma=0.22360679774997896, T=50) + GM(sigma=0.1, T=3000) + K=3.1622776601683795e-4",
     "F": "N=1 + R=1e-6",
 }
-#: F's ramp is smaller in a longer record, so that it stays as hard to tell.
+#: F's ramp is smaller in a longer record, so that it is equally hard to detect.
 RAMP_AT_MILLION = "N=1 + R=3e-8"
 
 SELECTION = {
@@ -75,7 +75,7 @@ def _resonance(place: float, radius: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _biquad(corner: float, quality: float) -> tuple[FloatArray, FloatArray]:
-    """Return the low-pass biquad of the audio cookbook, with a resonance where quality > 0.7."""
+    """Return the low-pass biquad of the audio cookbook, with a resonance for quality > 0.7."""
     w = np.pi * corner
     alpha, c = np.sin(w) / (2 * quality), np.cos(w)
     top = np.array([(1 - c) / 2, 1 - c, (1 - c) / 2])
@@ -88,7 +88,7 @@ def _mean(length: int) -> tuple[FloatArray, FloatArray]:
 
 
 #: Output filters; corners are fractions of the Nyquist frequency. The method was designed on one-pole
-#: and Butterworth responses; the rest is held out.
+#: and Butterworth responses; the others are held out.
 FILTERS = {
     "none": (np.ones(1), np.ones(1)),
     "one-pole 0.5": _one_pole(0.5),
@@ -116,7 +116,7 @@ FILTERS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """What repeated fits of one truth gave: relative errors and hits, shape (repeats, p)."""
+    """Results of repeated fits of one truth: relative errors and hits, shape (repeats, p)."""
 
     names: list[str]
     errors: FloatArray
@@ -126,7 +126,7 @@ class Cell:
 
 
 def truth_of(model: NoiseModel) -> dict[str, float]:
-    """Return a model's parameters under the names that a fit gives them."""
+    """Return a model's parameters by the names that a fit uses."""
     values: dict[str, float] = {}
     count = sum(term.symbol == "GM" for term in model.terms)
     seen = 0
@@ -141,7 +141,7 @@ def truth_of(model: NoiseModel) -> dict[str, float]:
 
 
 def cramer_rao(model: NoiseModel, n: int) -> FloatArray:
-    """Return the relative standard deviations that no unbiased estimator goes below, shape (p,)."""
+    """Return the minimal relative standard errors of an unbiased estimator, shape (p,)."""
     structure = parse_structure(str(model))
     ordinates = ordinates_of(np.random.default_rng(0).standard_normal(n))
     own = models_of([structure], ordinates.names)
@@ -166,7 +166,7 @@ def cramer_rao(model: NoiseModel, n: int) -> FloatArray:
 
 
 def fitted(samples: FloatArray, model: str | None, criterion: str = "bic", max_gm: int = 2) -> NoiseFit:
-    """Return the fit, without the curve, which it does not use."""
+    """Return the fit without a curve, which it does not use."""
     two = np.array([1.0, 2.0])
     curve = AllanCurve(tau=two, m=np.array([1, 2]), avar=two, edf=two, n=samples.size)
     return fit_mle(
@@ -177,7 +177,7 @@ def fitted(samples: FloatArray, model: str | None, criterion: str = "bic", max_g
 
 
 def _maximum(samples: FloatArray, model: str, key: str) -> float:
-    """Return where the likelihood of a bounded term is greatest: its estimate before it is dropped."""
+    """Return the estimate of a bounded term before it is dropped: the maximum of its likelihood."""
     structure = parse_structure(model)
     view = spectral_view(AxisSeries.from_samples(samples, rate_hz=1.0), FitSettings(model=model), None)
     choice = choose(
@@ -193,7 +193,7 @@ def _maximum(samples: FloatArray, model: str, key: str) -> float:
 
 
 def cell(samples: Iterator[FloatArray], model: NoiseModel, n: int, *, choose: bool) -> Cell:
-    """Fit the true structure to each of some series, and let the fit choose one if asked."""
+    """Fit the true structure to each series, and let the fit choose a structure on request."""
     values = truth_of(model)
     errors, hits, chosen = [], [], Counter[str]()
     for series in samples:
@@ -260,12 +260,12 @@ def settings(n: int, repeats: int, seed: int, only: list[str]) -> None:
 
 
 def filters(n: int, repeats: int, seed: int, only: list[str]) -> None:
-    """Print the same of N + B + K behind output filters."""
+    """Print bias, error and coverage of N + B + K behind output filters."""
     _behind_filters("D", n, repeats, seed, only)
 
 
 def filters_gm(n: int, repeats: int, seed: int, only: list[str]) -> None:
-    """Print the same of N + GM behind output filters."""
+    """Print bias, error and coverage of N + GM behind output filters."""
     _behind_filters("B", n, repeats, seed, only)
 
 
@@ -310,7 +310,7 @@ def selection(n: int, repeats: int, seed: int, only: list[str]) -> None:
 
 
 def gaps(n: int, repeats: int, seed: int, only: list[str]) -> None:
-    """Print the same of N + K with samples missing."""
+    """Print bias, error and coverage of N + K with missing samples."""
     _header(n, repeats, "gaps")
     model = NoiseModel.parse("N=1 + K=3.1622776601683795e-3")
     for name in ("none", "10 % scattered", "20 bursts of 0.5 %", "5 bursts of 4 %"):
@@ -356,7 +356,7 @@ def _missing(name: str, n: int, rng: np.random.Generator) -> np.typing.NDArray[n
 
 
 def exact(n: int, repeats: int, seed: int, only: list[str]) -> None:
-    """Print how far the exact likelihood's maximum is, in standard errors."""
+    """Print the distance to the exact likelihood's maximum, in standard errors."""
     from tests.fitting.state_space import distances
 
     print(f"\nn = {n}, {repeats} repeats\n\n| setting | median | greatest |\n|---|---|---|")

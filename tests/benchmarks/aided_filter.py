@@ -1,13 +1,13 @@
-"""A Kalman filter of an angle and a gyroscope's bias, and its error for any noise: exact, nothing is drawn.
+"""Exact errors of a Kalman filter of an angle and a gyroscope's bias, for any true noise.
 
-The filter believes in white noise N and a random walk K of the bias. Each second it adds the gyroscope's
-increment less its bias, and while it is aided it sees the angle with white noise. Then it coasts. Its
-estimate is a sum of what it was given, with weights that follow from N, K and the aiding alone; so the
-variance of its error is a quadratic form of those weights and the true noise's second sums, for any noise
-of stationary increments. The true bias is anything: the weights on the increments are made to add up to 0.
+The filter's model is white noise N and a random walk K of the bias. Each second it adds the gyroscope's
+increment minus its bias; while it is aided, it measures the angle with white noise. Then it coasts. The
+estimate is a weighted sum of the inputs, with weights that only depend on N, K and the aiding. The variance
+of its error is therefore a quadratic form of the weights and the true noise's second sums, for any noise of
+stationary increments. The true bias is arbitrary, because the weights on the increments add up to 0.
 
-NEES, the normalised estimation error squared, is here that variance over the one which the filter
-states: 1 for a filter that knows its noise, above 1 for one that is too sure.
+NEES, the normalised estimation error squared, is the true variance divided by the filter's predicted
+variance: 1 for a filter with the true model, above 1 for an overconfident one.
 
 Source: Bar-Shalom, Li & Kirubarajan (2001), Estimation with Applications to Tracking and Navigation,
 sec. 5.4 (NEES); the weights are the filter's own equations, run backward.
@@ -23,31 +23,30 @@ from imucal.noise.model import NoiseModel
 
 __all__ = ["COASTS_S", "Aiding", "Weights", "errors", "nees", "quadratic_form", "weights"]
 
-#: How long it coasts after the last angle, in s: 0 is the aided filter itself.
+#: Durations of coasting after the last angle, in s; 0 is the aided filter.
 COASTS_S = (0, 1, 10, 60, 300, 1000)
-#: Deviation of the bias at the start over N: so large that the filter knows nothing of it.
+#: Initial deviation of the bias relative to N: so large that it is uninformative.
 _DIFFUSE = 1e4
 
 
 class Aiding(NamedTuple):
-    """How the filter is aided: an angle each second, of deviation `sd`, so many times."""
+    """Aiding of the filter: `updates` angles, one per second, with deviation `sd`."""
 
     sd: float = 2e-3
     updates: int = 1000
 
 
 class Weights(NamedTuple):
-    """What the filter makes of its inputs, for p pairs (N, K).
+    """Weights of the inputs in the filter's estimates, for p pairs (N, K).
 
     Attributes
     ----------
     predicted
-        Variance of the angle that the filter states after each coast, shape (p, c), in U² s².
+        The filter's predicted variance of the angle after each coast, shape (p, c), in U² s².
     increments
-        Weights of the aided seconds' increments on the angle and on the bias, shape (2, p, updates).
+        Weights of the aided seconds' increments in the angle and in the bias, shape (2, p, updates).
     angles
-        Weights of the measured angles, likewise; the first angle, which starts the filter, stands first:
-        shape (2, p, updates + 1).
+        Weights of the measured angles in both, shape (2, p, updates + 1); the first angle starts the filter.
     """
 
     predicted: FloatArray
@@ -60,14 +59,14 @@ def weights(pairs: FloatArray, aiding: Aiding, coasts_s: Sequence[int] = COASTS_
     N, K = np.asarray(pairs, dtype=np.float64).T
     noise = aiding.sd**2
     gains = np.empty((aiding.updates, 2, N.size))
-    # Of angle and bias: variance, covariance, variance. The first angle is measured, the bias unknown.
+    # Variance of the angle, covariance, variance of the bias. The first angle is measured, the bias unknown.
     angle, both, bias = np.full(N.size, noise), np.zeros(N.size), (_DIFFUSE * np.maximum(N, K)) ** 2
     for gain in gains:
         angle, both, bias = angle - 2 * both + bias + N**2 + K**2 / 3, both - bias - K**2 / 2, bias + K**2
         gain[:] = angle / (angle + noise), both / (angle + noise)
         angle, both, bias = angle * (1 - gain[0]), both * (1 - gain[0]), bias - gain[1] * both
     predicted = [angle - 2 * h * both + h**2 * bias + N**2 * h + K**2 * h**3 / 3 for h in coasts_s]
-    # Backward: what angle and bias at the end owe to angle and bias after each second.
+    # Backward recursion: dependence of the final angle and bias on those after each second.
     of_angle, of_bias = np.eye(2)[:, :, None] * np.ones(N.size)
     increments = np.empty((2, N.size, aiding.updates))
     angles = np.empty((2, N.size, aiding.updates + 1))
@@ -83,7 +82,7 @@ def weights(pairs: FloatArray, aiding: Aiding, coasts_s: Sequence[int] = COASTS_
 def coasting(found: Weights, coast_s: int) -> tuple[FloatArray, FloatArray]:
     """Return the weights on all increments, shape (p, updates + coast), and the power of those on angles.
 
-    Those on the increments add up to 0 in each row: no constant bias is left in the error.
+    The weights on the increments add up to 0 in each row, so a constant bias has no effect.
     """
     aided = found.increments[0] - coast_s * found.increments[1]
     row = np.concatenate([aided, np.ones((len(aided), coast_s))], axis=1)
@@ -94,8 +93,8 @@ def coasting(found: Weights, coast_s: int) -> tuple[FloatArray, FloatArray]:
 def quadratic_form(rows: FloatArray, model: NoiseModel, rate_hz: float) -> FloatArray:
     """Return the variances, shape (p,), of one-second increments of `model` summed with weights (p, n).
 
-    The increments are sums of samples at `rate_hz` over that rate. A Toeplitz matrix of their second sums,
-    as a product of transforms.
+    The increments are sums of samples at `rate_hz` divided by that rate. The product with the Toeplitz matrix
+    of their second sums uses Fourier transforms.
     """
     n = rows.shape[1]
     V = model.sum_variance(np.arange(n + 2.0) * rate_hz, rate_hz=rate_hz) / rate_hz**2

@@ -1,10 +1,10 @@
-"""Run the benchmarks of time and memory one after the other: job, one axis, readers, Allan curve.
+"""Run the benchmarks of time and memory in sequence: job, one axis, readers, Allan curve.
 
     python tests/benchmarks/all.py [--before TREE PYTHON] [--page docs/results/speed.md]
 
-Their tables, in Markdown, follow each other on one machine in one session. `--before` measures the whole job
-of another version too, a tree and its interpreter; `--page` puts the tables into a page, below its line
-`<!-- measured -->`, in the place of those that stand there.
+The tables in Markdown are from one machine and one session. `--before` also measures the job of another
+version, given by a tree and its interpreter. `--page` replaces the tables of a page below its line
+`<!-- measured -->`.
 """
 
 import argparse
@@ -16,19 +16,19 @@ from pathlib import Path
 
 import numpy as np
 
-#: Script -> its heading.
+#: Script -> heading.
 BENCHMARKS = {
     "bench_job": "The whole job: 3 h at 200 Hz, six axes",
     "bench_axis": "One axis",
     "bench_readers": "Reading",
     "bench_allan": "The Allan curve",
 }
-#: Where the measured part of a page begins.
+#: Start of the measured part of a page.
 _MARK = "<!-- measured -->\n"
 
 
 def processor() -> str:
-    """Return the name of the processor, as far as the machine says it."""
+    """Return the name of the processor, if the machine provides it."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -38,7 +38,7 @@ def processor() -> str:
 
 
 def run(name: str, arguments: list[str]) -> tuple[str, int]:
-    """Run a script of this folder, passing on what it prints; return that and its exit code."""
+    """Run a script of this folder and forward its output; return the output and the exit code."""
     root = Path(__file__).parents[2]
     surroundings = {
         **os.environ,
@@ -54,7 +54,7 @@ def run(name: str, arguments: list[str]) -> tuple[str, int]:
 
 
 def main() -> None:
-    """Run each in a process of its own; exit code 1 where one fails."""
+    """Run each benchmark in its own process; exit code 1 if one fails."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--before", nargs=2, metavar=("TREE", "PYTHON"))
     parser.add_argument("--page", type=Path)

@@ -1,8 +1,8 @@
-"""A factor graph of GTSAM at rest, aided in attitude and then coasting: its NEES, drawn.
+"""Simulated NEES of a factor graph of GTSAM at rest, which is aided in attitude and then coasts.
 
-A node each second, between two nodes a `CombinedImuFactor` of the seconds' gyroscope samples. For five
-minutes each attitude is measured; then it coasts, and only the last node is of interest. Positions and the
-accelerometer are told to be so uncertain that they say nothing of the attitude.
+There is a node per second, with a `CombinedImuFactor` of the second's gyroscope samples between two nodes.
+Each attitude is measured for five minutes; then the graph coasts, and only the last node is evaluated.
+Positions and the accelerometer are so uncertain that they do not determine the attitude.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,10 +19,10 @@ from tests.benchmarks.aided_filter import Aiding, nees
 
 __all__ = ["attitude_nees"]
 
-#: What is drawn, for how long it is fitted, and at what rate.
+#: Simulated model, duration of the fitted records in s, and sampling rate.
 TRUTH, FITTED_S, RATE = "N=1e-3 + B=3e-4", 3 * 3600, 10
 AIDING, COAST_S = Aiding(2e-3, 300), 60
-#: Deviation of positions in m, and the accelerometer's density in m/s²/sqrt(Hz): they carry no attitude.
+#: Deviation of positions in m, and the accelerometer's density in m/s²/sqrt(Hz), both uninformative.
 _LOOSE = 1e3
 _GRAVITY = np.array([0.0, 0.0, 9.80665])
 
@@ -30,9 +30,9 @@ _GRAVITY = np.array([0.0, 0.0, 9.80665])
 def attitude_nees(
     rules: Mapping[str, Callable[[NoiseFit], tuple[float, float]]], *, count: int, runs: int, seed: int
 ) -> None:
-    """Print, for the fits of `count` records, NEES of `runs` drawn coasts each and the exact one.
+    """Print, for the fits of `count` records, the NEES of `runs` simulated coasts each and the exact one.
 
-    Three axes a run: the standard error of a row's NEES is its value times sqrt(2 / (3 runs)).
+    A run has three axes: the standard error of a row's NEES is its value times sqrt(2 / (3 runs)).
     """
     model = NoiseModel.parse(TRUTH)
     print(f"\n{TRUTH}, {FITTED_S / 3600:g} h; gtsam {version('gtsam')}, seed {seed}: NEES of the attitude")
@@ -58,14 +58,14 @@ def attitude_nees(
 
 
 def parameters(N: float, K: float) -> "gtsam.PreintegrationCombinedParams":
-    """Return the parameters of a preintegration with these numbers of the gyroscope."""
+    """Return preintegration parameters with these numbers of the gyroscope."""
     found = gtsam.PreintegrationCombinedParams.MakeSharedU(_GRAVITY[2])
     found.setGyroscopeCovariance(N**2 * np.eye(3))
     found.setBiasOmegaCovariance(K**2 * np.eye(3))
     found.setAccelerometerCovariance(_LOOSE**2 * np.eye(3))
     found.setBiasAccCovariance(1e-12 * np.eye(3))
     found.setIntegrationCovariance(1e-12 * np.eye(3))
-    # GTSAM 4.2 has the identity here: a radian of uncertainty in each factor.
+    # The default of GTSAM 4.2 is the identity: an uncertainty of a radian in each factor.
     if hasattr(found, "setBiasAccOmegaInit"):
         found.setBiasAccOmegaInit(1e-24 * np.eye(6))
     return found

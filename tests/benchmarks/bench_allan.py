@@ -1,11 +1,11 @@
-"""The Allan engine beside AllanTools and plain NumPy: CPU time, memory, bandwidth, rounding.
+"""The Allan engine compared with AllanTools and plain NumPy: CPU time, memory, bandwidth, rounding.
 
     python tests/benchmarks/bench_allan.py [--large] [--targets]
 
-Every contender runs in a process of its own, so that none profits from another's warm memory; times
-are CPU seconds (user and system) of the first call and of the best of three. ``--large`` adds
-n = 1e8: the relative error against exact integers on a mean of 9.8 million sigma, and the
-strides over a mapped file of 86 million samples; ``--targets`` runs only what the targets speak of.
+Every contender runs in its own process, so that none profits from another's warm memory. Times are CPU
+seconds (user and system) of the first call and of the best of three. ``--large`` adds n = 1e8: the
+relative error against exact integers on a mean of 9.8 million sigma, and the strides over a mapped file
+of 86 million samples. ``--targets`` only runs the measurements of the targets.
 """
 
 import json
@@ -29,17 +29,17 @@ from imucal.recording import AxisSeries
 __all__ = ["main"]
 
 OVERLAPPING = ESTIMATORS["overlapping"]
-#: Samples -> how many times as long AllanTools is to take as the curve with its intervals, best of three.
+#: Samples -> required ratio of AllanTools' time to the curve with intervals, best of three.
 TARGETS = {1_000_000: 2.5, 10_000_000: 5.0}
 
 
 def factors(n: int) -> IntArray:
-    """Return some 90 factors up to n/10, evenly spaced in log."""
+    """Return about 90 factors up to n/10, evenly spaced in log."""
     return np.unique(np.round(np.logspace(0, np.log10(n / 10), 100)).astype(np.int64))
 
 
 def plain(samples: FloatArray, m: IntArray) -> FloatArray:
-    """Return the overlapping variances as a script computes them, with full-length temporaries."""
+    """Return the overlapping variances as a simple script computes them, with full-length temporaries."""
     angle = np.concatenate([[0.0], np.cumsum(samples - samples.mean())])
     avar = np.empty(m.size)
     for i, k in enumerate(m.tolist()):
@@ -61,7 +61,7 @@ def exact(samples: FloatArray, m: IntArray) -> FloatArray:
 
 
 def strided(samples: FloatArray, m: IntArray) -> FloatArray:
-    """Return the curve of a log that does not fit in memory, with as many factors as the others have."""
+    """Return the curve of a log larger than memory, with the number of factors of the other contenders."""
     engine.memory_limit = lambda: 0  # type: ignore[attr-defined]
     return allan_curve(AxisSeries.from_samples(samples, rate_hz=1.0), taus="decade:17").avar[: m.size]
 
@@ -71,7 +71,7 @@ def intervals(samples: FloatArray, m: IntArray) -> FloatArray:
 
 
 def with_intervals(samples: FloatArray, m: IntArray) -> FloatArray:
-    """Return the variances, having found their degrees of freedom too, as `allan_curve` does."""
+    """Return the variances after computing their degrees of freedom, like `allan_curve`."""
     intervals(samples, m)
     return exact(samples, m)
 
@@ -87,7 +87,7 @@ CONTENDERS: dict[str, Callable[[FloatArray, IntArray], FloatArray]] = {
 
 
 def peak_mb() -> float:
-    """Return the most memory this process has held, in MB; by /proc, which a parent does not colour."""
+    """Return the peak memory of this process in MB; /proc excludes the parent's memory."""
     status = Path("/proc/self/status")
     if status.exists():
         line = next(text for text in status.read_text(encoding="ascii").splitlines() if "VmHWM" in text)
@@ -96,7 +96,7 @@ def peak_mb() -> float:
 
 
 def one(name: str, n: int) -> None:
-    """Run one contender here; print its figures as JSON."""
+    """Run one contender in this process; print its figures as JSON."""
     samples = np.random.default_rng(0).standard_normal(n)
     m = factors(n)
     CONTENDERS[name](samples[:5000], factors(5000))
@@ -112,7 +112,7 @@ def one(name: str, n: int) -> None:
 
 
 def copy_bandwidth() -> float:
-    """Return the bytes read and written per second by copying 200 MB, best of five."""
+    """Return the bytes read and written per second while copying 200 MB, best of five."""
     source = np.ones(25_000_000)
     target = np.empty_like(source)
     best = np.inf
@@ -135,7 +135,7 @@ def compare(n: int, bandwidth: float) -> str:
     results = {}
     named = ("AllanTools oadev", "imucal curve with intervals")
     for name in named if "--targets" in sys.argv else CONTENDERS:
-        # A whole process, so that no contender finds the memory of another.
+        # A separate process, so that no contender uses the memory of another.
         run = subprocess.run(  # noqa: S603 - this very script
             [sys.executable, __file__, "--one", name, str(n)],
             capture_output=True,
@@ -161,7 +161,7 @@ def compare(n: int, bandwidth: float) -> str:
 
 
 def large() -> None:
-    """Measure the rounding at n = 1e8, against integers."""
+    """Measure the rounding error at n = 1e8 against integers."""
     n = 100_000_000
     rng = np.random.default_rng(2)
     whole = np.rint(rng.standard_normal(n) * 1e5).astype(np.int64) + 980_000_000_000

@@ -1,11 +1,10 @@
-"""`imucal.fit` of one axis: CPU against y, memory beside the samples, and lengths next to each other.
+"""`imucal.fit` of one axis: CPU time relative to y, memory, and neighbouring lengths.
 
     python tests/benchmarks/bench_axis.py [--large] [--near 2160000]
 
-`--large` adds 1e8 samples; some rows are of records with gaps of half a second, which should take at most
-1.6 times as long as one without. Each length runs in a process of its own; y is that of `bench_job`.
-Neighbours are n - 20 … n + 20 and the primes on either side; every one of them should take at most 1.2 times
-the median.
+`--large` adds 1e8 samples. Some rows are of records with gaps of half a second, which should take at most
+1.6 times as long as without gaps. Each length runs in its own process; y is that of `bench_job`. Neighbours
+are n - 20 … n + 20 and the primes on both sides; each should take at most 1.2 times the median.
 """
 
 import argparse
@@ -22,17 +21,17 @@ import imucal
 from imucal.recording import AxisSeries
 from tests.benchmarks.bench_job import yardstick
 
-#: Samples and gaps of the records, and samples missing in a gap.
+#: Samples and gaps of the records, and missing samples per gap.
 _RECORDS = ((10**6, 0), (10**7, 0), (10**7, 1), (10**7, 5), (10**7, 60))
 _GAP = 100
-#: How often the memory is looked at, in s.
+#: Sampling interval of the memory, in s.
 _LOOK = 0.002
-#: Lengths about `--near` that are measured, less it.
+#: Measured lengths relative to `--near`.
 _OFFSETS = (-20, -19, -13, -7, -3, -2, -1, 0, 1, 2, 3, 7, 13, 19, 20)
 
 
 def resident() -> int:
-    """Return the memory that this process holds, in bytes."""
+    """Return the memory of this process, in bytes."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return 4096 * pages
 
@@ -43,7 +42,7 @@ def axis(n: int) -> AxisSeries:
 
 
 def measure(n: int, gaps: int) -> dict[str, float]:
-    """Return CPU in s and bytes a sample of a fit, beside what was there before."""
+    """Return CPU time in s and additional bytes per sample of a fit."""
     series = axis(n)
     if gaps:
         keep = np.ones(n, dtype=np.bool_)
@@ -71,7 +70,7 @@ def measure(n: int, gaps: int) -> dict[str, float]:
 
 
 def alone(n: int, gaps: int) -> dict[str, float]:
-    """Measure in a process of its own."""
+    """Measure in a separate process."""
     command = [sys.executable, "-m", "tests.benchmarks.bench_axis", "--one", str(n), str(gaps)]
     done = subprocess.run(command, check=True, capture_output=True, cwd=Path(__file__).parents[2])  # noqa: S603
     found: dict[str, float] = json.loads(done.stdout)
@@ -90,7 +89,7 @@ def primes_about(n: int) -> tuple[int, int]:
 
 
 def neighbours(n: int) -> None:
-    """Print the CPU of lengths about `n`, the least of five, over their median."""
+    """Print the CPU time of lengths near `n`, the best of five, relative to their median."""
     lengths = sorted({*(n + offset for offset in _OFFSETS), *primes_about(n)})
     samples = axis(max(lengths)).samples
     imucal.fit(axis(20_000))

@@ -2,8 +2,8 @@
 
     python -m tests.benchmarks.bench_csv [rows] [--engines]
 
-With `--engines`: what the parsers of other packages would cost, those that are installed, each alone on the
-same text in memory, in blocks, with the types of the columns given; CPU on one thread.
+`--engines` measures the parsers of other installed packages on the same text in memory, in blocks, with
+given column types; CPU on one thread.
 """
 
 import csv
@@ -29,7 +29,7 @@ HEADER = (
     "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n"
 )
 BEST_OF = 3
-#: Rows that the slow peers read.
+#: Rows for the slow parsers.
 FEW = 100_000
 
 
@@ -67,7 +67,7 @@ def parser_alone(path: Path) -> None:
 BLOCK = 4 << 20
 
 
-def _package(name: str) -> Any:  # noqa: ANN401 - none of the project's own
+def _package(name: str) -> Any:  # noqa: ANN401 - a third-party module
     return importlib.import_module(name)
 
 
@@ -101,9 +101,9 @@ def by_pandas(block: bytes) -> list[Any]:
 
 
 def by_simdjson(block: bytes) -> list[Any]:
-    """Read the text as one array of JSON, a quarter of a megabyte at a time: what fits the cache.
+    """Parse the text as one JSON array, a quarter of a megabyte at a time, which fits the cache.
 
-    The stamps lose their last digits, and a row that lacks a cell isn't noticed: both would cost more.
+    Stamps lose their last digits, and rows with missing cells are not detected; both would cost more time.
     """
     parser, found, start = _package("simdjson").Parser(), [], 0
     while start < len(block):
@@ -130,7 +130,7 @@ ENGINES: dict[str, Callable[[bytes], list[Any]]] = {
 
 
 def engines(path: Path) -> None:
-    """Print what each parser costs on the rows of a table, in ns of CPU per row."""
+    """Print the CPU time of each parser in ns per row."""
     text = path.read_bytes().partition(b"\n")[2]
     blocks, start = [], 0
     while start < len(text):
@@ -150,7 +150,7 @@ def engines(path: Path) -> None:
 
 
 def exact(path: Path) -> bool:
-    """Return whether every sample is the number that Python's float makes of its text."""
+    """Return whether every sample equals Python's float of its text."""
     recording = read(path, ReadOptions())
     with path.open(encoding="utf-8") as file:
         rows = list(csv.reader(file))[1:]
@@ -182,6 +182,6 @@ def main(rows: int) -> None:
 
 
 if __name__ == "__main__":
-    # Before any of them is imported.
+    # The limits must be set before the imports.
     os.environ |= {"POLARS_MAX_THREADS": "1", "IMUCAL_THREADS": "1", "OMP_NUM_THREADS": "1"}
     main(next((int(text) for text in sys.argv[1:] if text.isdecimal()), 2_000_000))

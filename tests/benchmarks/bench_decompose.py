@@ -1,4 +1,4 @@
-"""What a decomposition costs, and what its standard errors cover: prints markdown tables.
+"""Cost of a decomposition, and coverage of its standard errors: prints tables in Markdown.
 
 python tests/benchmarks/bench_decompose.py [records]
 """
@@ -18,7 +18,7 @@ _MODELS = ("N=1e-3 + K=1e-5", "N=1e-3 + GM(sigma=1e-4, T=100) + K=1e-5", "N=1e-3
 
 
 def costs() -> None:
-    """Print CPU time by model, samples and losses; the greatest memory at the end."""
+    """Print CPU time by model, samples and losses, and the peak memory at the end."""
     print("| model | n | missing | CPU s |\n|---|---|---|---|")
     for text in _MODELS:
         model = NoiseModel.parse(text)
@@ -34,7 +34,7 @@ def costs() -> None:
 
 
 def coverage(records: int, n: int = 20_000) -> None:
-    """Print how often the true bias lies within 1.96 standard errors, with a tenth of the record missing."""
+    """Print the coverage of 1.96 standard errors of the bias, with a tenth of the record missing."""
     print("| model | bias within, % | standard error of that |\n|---|---|---|")
     for text in _MODELS:
         model, shares = NoiseModel.parse(text), []

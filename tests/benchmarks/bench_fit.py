@@ -1,9 +1,9 @@
-"""CPU time of one axis: Allan curve with intervals, and the whole fit; best of three.
+"""CPU time of one axis: Allan curve with intervals, and the complete fit; best of three.
 
     python tests/benchmarks/bench_fit.py [samples …]
 
-CPU time counts every thread, so that a busy machine does not change it much. Bars: one axis of 1e6
-samples 1 s, of 1e7 samples 5 s.
+CPU time includes every thread, so a busy machine hardly changes it. Targets: 1 s for an axis of 1e6
+samples, 5 s for 1e7 samples.
 """
 
 import sys
@@ -24,7 +24,7 @@ MODELS = {
 
 
 def best(work: Callable[[], object], repeats: int) -> float:
-    """Return the least CPU time of some runs, in s."""
+    """Return the smallest CPU time of some runs, in s."""
     seconds = []
     for _ in range(repeats):
         start = time.process_time()

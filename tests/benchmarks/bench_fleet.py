@@ -1,11 +1,13 @@
-"""What a fleet costs: ``python -m tests.benchmarks.bench_fleet [speed] [engine] [store]``.
+"""Cost of a fleet: ``python -m tests.benchmarks.bench_fleet [speed] [engine] [store]``.
 
-speed: CPU a log of ``fleet run`` on one worker, and in one process, against a plain loop over
-`imucal.characterize`, and what a run costs besides, by two numbers of logs; CPU of all processes, in turn, so
-that a busy machine is the same for all.
-engine: memory of client, scheduler and worker, and CPU a log, at 1e5 logs on which nothing is done: in
-batches as real runs have them, and in tasks of one log.
-store: time and memory of writing and reading 1e6 rows of results and more, in parts as real runs make them.
+speed: CPU per log of ``fleet run`` on one worker and in one process, compared with a simple loop over
+`imucal.characterize`, and the overhead of a run, from two numbers of logs. CPU time is that of all
+processes, and the cases alternate, so that a busy machine affects all of them.
+
+engine: memory of client, scheduler and worker, and CPU per log, for 1e5 logs without work: in batches
+like real runs, and in tasks of one log.
+
+store: time and memory of writing and reading 1e6 rows of results and more, in parts like real runs.
 """
 
 import argparse
@@ -31,13 +33,13 @@ from imucal.fleet_run.running import BATCH_S, RunCount, run_plan
 from tests.fleet.simulated_fleet import RATE, make_fleet
 from tests.fleet_run.faults import Bench, cluster
 
-#: How the same logs are done, in turn: options of ``fleet run``, or none for a plain loop.
+#: Alternating cases: options of ``fleet run``, or none for a simple loop.
 CASES = {
     "plain loop": (),
     "fleet run --shard 1/1": ("--shard", "1/1"),
     "fleet run --jobs 2": ("--jobs", "2"),
 }
-#: How a store is read: in the third and the fourth 5000 logs at a time.
+#: Ways to read a store: the last two read 5000 logs at a time.
 READINGS = ("logs", "results", "bins", "bins of strewn logs", "all bins at once")
 LOOP = """
 import sys
@@ -51,13 +53,13 @@ for path in sys.argv[1:]:
 
 
 def cpu_of_children() -> float:
-    """Return the CPU time of all processes that this one started and that have ended, in s."""
+    """Return the CPU time of all ended child processes, in s."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
 def speed(folder: Path, *, logs: tuple[int, int], seconds: float, rounds: int) -> None:
-    """Print CPU a log and a run, of two numbers of logs: the lowest of some rounds of each."""
+    """Print CPU per log and per run for two numbers of logs: the lowest of some rounds."""
     bench = Bench(folder, jobs=1)
     few, many = logs
     environment = {**os.environ, "IMUCAL_THREADS": "1"}
@@ -77,7 +79,7 @@ def speed(folder: Path, *, logs: tuple[int, int], seconds: float, rounds: int) -
                     subprocess.run(command, check=True, env=environment)  # noqa: S603
                     inside = 0.0
                 used = cpu_of_children() - before
-                # All processes were waited for, so that theirs is in it.
+                # All processes were waited for, so their CPU time is included.
                 assert used > inside, (used, inside)
                 known = best.setdefault(name, {})
                 known[number] = min(known.get(number, math.inf), used)
@@ -91,23 +93,22 @@ def speed(folder: Path, *, logs: tuple[int, int], seconds: float, rounds: int) -
 
 
 def _made(folder: Path, number: int, seconds: float) -> list[str]:
-    """Make logs that are all right, each of other samples."""
+    """Return logs without faults and with different samples."""
     made = make_fleet(folder / f"logs{number}", logs=number, seconds=seconds, seed=3)
     assert not any(log.broken for log in made)
     return [str(log.path) for log in made]
 
 
 def nothing(_: object, __: FleetSettings, ___: Sequence[LogTask]) -> int:
-    """Do nothing, as the work on a batch of which no log failed."""
+    """Do nothing, like the work on a batch without failed logs."""
     return 0
 
 
 def engine(folder: Path, *, logs: int, seconds: float) -> None:
-    """Print memory and CPU of a run whose logs take no time, in batches of so many expected seconds each.
+    """Print memory and CPU of a run of logs without work, in batches of `seconds` expected duration.
 
-    It is the run itself, `imucal.fleet_run.running.run_plan`, on a scheduler in a process of its own; of a
-    task only the work is another. More batches are in hand than for real work, so that the time is that of
-    the tasks and not of waiting for each.
+    It is the real `imucal.fleet_run.running.run_plan`, on a scheduler in its own process; only the work of a
+    task is replaced. More batches are submitted than for real work, so that the time is that of the tasks.
     """
     on_dask.WINDOW, running.BATCH_S = 100, seconds
     tasks = tuple(LogTask(place=f"logs/{number:07}.mcap", size=10_000) for number in range(logs))
@@ -134,15 +135,15 @@ def engine(folder: Path, *, logs: int, seconds: float) -> None:
             used = {name: sum(process.cpu_times()[:2]) for name, process in processes.items()}
             used["client"] -= before
             memory = {name: process.memory_info().rss / 1e6 for name, process in processes.items()}
-            told = ", ".join(f"{n} {memory[n]:.1f} MB {1e3 * used[n] / count.done:.3f} ms" for n in used)
-            print(f"{count.done:7} logs, {time.perf_counter() - begun:6.1f} s: {told}", flush=True)
+            figures = ", ".join(f"{n} {memory[n]:.1f} MB {1e3 * used[n] / count.done:.3f} ms" for n in used)
+            print(f"{count.done:7} logs, {time.perf_counter() - begun:6.1f} s: {figures}", flush=True)
 
         done = run_plan(plan, settings, progress=tell)
         assert (done.done, done.failed) == (logs, 0)
 
 
 def _worker() -> psutil.Process:
-    """Return the process that does the tasks: the child of the nanny."""
+    """Return the process that executes the tasks: the child of the nanny."""
     return next(
         p
         for p in psutil.Process().children(recursive=True)
@@ -151,7 +152,7 @@ def _worker() -> psutil.Process:
 
 
 def store(folder: Path, *, logs: int, batch: int) -> None:
-    """Print what a store of 18 rows of results a log costs, with bins of 3 kB an axis, and reading it."""
+    """Print the cost of writing and reading a store with 18 results per log and bins of 3 kB per axis."""
     made = FleetStore(folder / "many")
     made.create()
     axes = [(sensor, axis) for sensor in ("gyroscope", "accelerometer") for axis in "xyz"]
@@ -178,7 +179,7 @@ def store(folder: Path, *, logs: int, batch: int) -> None:
     size = sum(path.stat().st_size for path in made.folder.rglob("*.parquet"))
     print(f"{logs} logs in {parts} parts: written in {wrote:.1f} s, {size / 1e6:.0f} MB", flush=True)
     for what in READINGS:
-        # Each in a process of its own, so that its memory is its own.
+        # A separate process per reading measures its own memory.
         process = multiprocessing.get_context("spawn").Process(target=_read, args=(made.folder, what, logs))
         process.start()
         process.join()
@@ -186,7 +187,7 @@ def store(folder: Path, *, logs: int, batch: int) -> None:
 
 
 def _read(folder: Path, what: str, logs: int) -> None:
-    """Print how long one reading of a store takes, and how much memory."""
+    """Print time and memory of one reading of a store."""
     made = FleetStore(folder)
     keys = [f"{number:032x}" for number in range(logs)]
     if what == "bins of strewn logs":
@@ -204,7 +205,7 @@ def _read(folder: Path, what: str, logs: int) -> None:
 
 
 def main() -> None:
-    """Run what is asked for, or everything."""
+    """Run the requested parts, or all."""
     parser = argparse.ArgumentParser()
     parser.add_argument("what", nargs="*", choices=["speed", "engine", "store", []])
     parser.add_argument("--tasks", type=int, default=100_000, help="engine, store: logs")

@@ -1,13 +1,12 @@
-"""Where the time of `imucal fit` goes: CPU of each stage, repeats of the same work, memory, and y.
+"""CPU time of the stages of `imucal fit`, repeated work, memory, and y.
 
     python tests/benchmarks/bench_job.py [--hours 3] [--rate 200] [--log LOG] [--before TREE PYTHON]
 
-The job is done with the JSON only and with all pictures and the page; `--before` does it also with
-another version, a tree and the interpreter that has what it needs. So is the README's log. y is the CPU time
-of AllanTools' ``oadev``, 1e7 samples at 93 factors, in processes of its own before and after the rest:
-machines differ, and so do their hours. Modules are
-compiled before, as an installer does. Stages overlap where one calls another; each is counted whole, with
-the modules that it is the first to import.
+The job runs with JSON only and with all pictures and the page; `--before` also runs it with another version,
+given by a tree and its interpreter. The README's log is measured too. y is the CPU time of AllanTools'
+``oadev``, 1e7 samples at 93 factors, in separate processes before and after the rest, because machines and
+their load differ. Modules are compiled before, as by an installer. Stages that call each other overlap;
+each includes the imports that it triggers.
 """
 
 import argparse
@@ -34,7 +33,7 @@ _Number = TypeVar("_Number", int, float)
 
 #: The log of the README's first command: 12 min at 50 Hz.
 README_LOG = Path(__file__).parents[2] / "sample_logs" / "consumer_mems.mcap"
-#: Job -> most CPU time, in y.
+#: Job -> maximal CPU time, in y.
 WANTED = {
     "JSON only": 0.6,
     "all pictures and the page": 1.0,
@@ -42,7 +41,7 @@ WANTED = {
     "README's log, all pictures and the page": 0.8,
 }
 
-#: Stage -> part of the file's path, and name of the function whose CPU it is.
+#: Stage -> part of the file's path, and name of the measured function.
 STAGES = {
     "imports, also within the others": ("<frozen importlib._bootstrap>", "_find_and_load"),
     "read": ("imucal/readers/__init__.py", "read"),
@@ -65,7 +64,7 @@ STAGES = {
     "of these: blind starts": ("imucal/fitting/spectral/maximum.py", "find_starts"),
     "of these: likelihood": ("imucal/fitting/spectral/likelihood.py", "evaluate"),
 }
-#: Work that could be shared -> the functions of which the calls are counted.
+#: Work that could be shared -> the function whose calls are counted.
 REPEATS = {
     "transforms": ("imucal/allan/dct.py", "_transform"),
     "bins": ("imucal/fitting/spectral/blocks.py", "_binned"),
@@ -88,7 +87,7 @@ print(time.process_time() - start)
 
 
 def yardstick() -> float:
-    """Return the CPU time of AllanTools' ``oadev`` in a process of its own, in s."""
+    """Return the CPU time of AllanTools' ``oadev`` in a separate process, in s."""
     done = subprocess.run([sys.executable, "-c", _ALLANTOOLS], check=True, capture_output=True, text=True)  # noqa: S603
     return float(done.stdout)
 
@@ -117,7 +116,7 @@ def job(log: Path, folder: Path, *, pictures: bool) -> list[str]:
 
 
 def measured(arguments: list[str], version: tuple[str, str]) -> tuple[float, float]:
-    """Run the job of a version in a process of its own; return CPU s and wall s."""
+    """Run the job of a version in a separate process; return CPU s and wall s."""
     start = time.perf_counter()
     process = _started(arguments, version)
     _, status, used = os.wait4(process.pid, 0)
@@ -130,7 +129,7 @@ def measured(arguments: list[str], version: tuple[str, str]) -> tuple[float, flo
 
 
 def peak(arguments: list[str], version: tuple[str, str]) -> float:
-    """Return the most memory that the job's processes have together, in MB, seen every 20 ms."""
+    """Return the peak memory of all processes of the job, in MB, sampled every 20 ms."""
     process = _started(arguments, version)
     most = 0
     while process.poll() is None:
@@ -142,7 +141,7 @@ def peak(arguments: list[str], version: tuple[str, str]) -> float:
 def _started(arguments: list[str], version: tuple[str, str]) -> "subprocess.Popen[bytes]":
     tree, python = version
     command = [python, "-m", "imucal", *arguments]
-    # In its own folder: Python looks where it was started first, and would find this version there.
+    # The working folder must be the version's tree, because Python searches it first.
     return subprocess.Popen(  # noqa: S603 - our own command
         command, stdout=subprocess.DEVNULL, env=_surroundings(tree), cwd=tree
     )
@@ -150,7 +149,7 @@ def _started(arguments: list[str], version: tuple[str, str]) -> "subprocess.Pope
 
 @cache
 def _compiled() -> tempfile.TemporaryDirectory[str]:
-    """Return where compiled modules are kept as long as this runs."""
+    """Return a temporary folder of compiled modules."""
     return tempfile.TemporaryDirectory()
 
 
@@ -162,7 +161,7 @@ def _surroundings(tree: str) -> dict[str, str]:
 
 
 def stages(arguments: list[str], tree: str) -> tuple[dict[tuple[str, str], float], float]:
-    """Return the CPU time in s of every function of the job, by file and name, and that of all."""
+    """Return the CPU time in s of every function of the job, by file and name, and the total."""
     script = str(Path(__file__).parent / "stage_times.py")
     with tempfile.TemporaryDirectory() as folder:
         found = Path(folder) / "found.json"
@@ -178,7 +177,7 @@ def stages(arguments: list[str], tree: str) -> tuple[dict[tuple[str, str], float
 
 
 def repeats(arguments: list[str]) -> dict[tuple[str, str], int]:
-    """Return how often every function of the job is called, by file and name."""
+    """Return the number of calls of every function of the job, by file and name."""
     from imucal.cli import main as imucal
 
     profile = cProfile.Profile()
@@ -191,13 +190,13 @@ def repeats(arguments: list[str]) -> dict[tuple[str, str], int]:
 
 
 def _of(found: Mapping[tuple[str, str], _Number], where: tuple[str, str]) -> _Number | None:
-    """Return what was found of a function; None of one that was not called."""
+    """Return the value of a function; None if it was not called."""
     file, function = where
     return next((n for (path, name), n in found.items() if path.endswith(file) and name == function), None)
 
 
 def compared(jobs: Mapping[str, list[str]], versions: dict[str, tuple[str, str]]) -> dict[str, Taken]:
-    """Return what each job takes by each version, all in turn: the best of three."""
+    """Return the cost of each job for each version, alternating: the best of three."""
     taken: dict[str, Taken] = {}
     for what, arguments in jobs.items():
         runs = {name: [measured(arguments, version)] for name, version in versions.items()}
@@ -232,7 +231,7 @@ def main() -> None:
         taken = compared(jobs, versions)
         asked = job(log, folder / "out", pictures=True)
         tree = versions["this"][0]
-        stages(asked, tree)  # what comes first finds modules that are not compiled
+        stages(asked, tree)  # the first run compiles modules
         runs = [stages(asked, tree) for _ in range(3)]
         found, total = min(runs, key=lambda run: run[1])
         calls = repeats(asked)

@@ -1,12 +1,12 @@
-"""What reading costs: imucal beside the bare decompression and other readers, each against its target.
+"""Cost of reading: imucal compared with bare decompression and other readers, with targets.
 
     python -m tests.benchmarks.bench_readers --n 2000000 --peers 60000 --formats mcap-zstd bag-lz4
 
-Writes logs of `sensor_msgs/Imu` at 200 Hz among other topics to a temporary folder, chunks with checksums
-where the format has them. Every run is a process of its own; all take turns, and the best of each counts:
-CPU time on one thread, and for imucal the wall time on all threads of the machine too. Peers read the
-first `--peers` messages only: their cost per message does not depend on the length. Every result of imucal
-is compared with the truth, bit by bit.
+The script writes logs of `sensor_msgs/Imu` at 200 Hz among other topics to a temporary folder, with chunk
+checksums if the format has them. Every run is a separate process; readers alternate, and the best run
+counts: CPU time on one thread, and for imucal also wall time on all threads of the machine. Peers only read
+the first `--peers` messages, because their cost per message does not depend on the length. Every result of
+imucal is compared exactly with the truth.
 """
 
 import argparse
@@ -29,25 +29,25 @@ from imucal.recording import Recording
 from tests.benchmarks.imu_logs import TOPIC, euroc, truth, write
 
 MODULE = "tests.benchmarks.bench_readers"
-#: Threads that imucal may have where wall time is measured: those of the machine, at most 4.
+#: Threads of imucal for wall times: those of the machine, at most 4.
 THREADS = min(os.cpu_count() or 1, 4)
 FORMATS = ("mcap-zstd", "mcap-lz4", "mcap-none", "bag-none", "bag-lz4", "bag-bz2", "db3", "euroc", "camera")
 
 
 @dataclass(frozen=True)
 class Target:
-    """How imucal is to compare with another reader of the same log."""
+    """Target of imucal relative to another reader of the same log."""
 
     text: str
     peer: str
     ratio: float
-    #: Whether imucal may cost so many times the other; else the other must cost so many times imucal.
+    #: Whether the ratio is an upper limit of imucal's cost; otherwise it is a lower limit of the other's.
     at_most: bool
 
     def rows(self, own: tuple[float, ...], peer: tuple[float, ...], shared: tuple[float, ...]) -> str:
-        """Return the lines of a table: CPU on one thread, and wall time on all threads, beside the target.
+        """Return table rows with the target: CPU on one thread, and wall time on all threads.
 
-        Each is CPU time, wall time and memory; the other reader has one thread.
+        Each tuple has CPU time, wall time and memory; the other reader has one thread.
         """
         return (
             self._row(own[0], peer[0], "CPU")
@@ -69,7 +69,7 @@ TARGETS = {
     "euroc": Target("`np.loadtxt` / EuRoC CSV", "loadtxt", 5, at_most=False),
     "camera": Target("chunks without IMU messages that are read", "skipped", 0, at_most=True),
 }
-#: Readers of each kind of log, besides imucal; those of a few messages only are marked in `SLOW`.
+#: Other readers of each kind of log; `SLOW` ones read a few messages only.
 PEERS = {
     "mcap": ("bare", "rosbags", "mcap"),
     "bag": ("bare", "rosbags"),
@@ -81,7 +81,7 @@ SLOW = frozenset({"rosbags", "mcap", "loadtxt"})
 
 
 def read_imucal(path: Path, n: int) -> Recording:
-    """Read by imucal."""
+    """Read with imucal."""
     del n
     from imucal.readers import read
 
@@ -89,7 +89,7 @@ def read_imucal(path: Path, n: int) -> Recording:
 
 
 def check(recording: Recording, n: int) -> None:
-    """Compare with the truth, bit by bit."""
+    """Compare exactly with the truth."""
     _, samples = euroc(n) if recording.source.path.endswith(".csv") else truth(n)
     for place, series in enumerate(recording.series):
         if not np.array_equal(series.samples, samples[:, place]):
@@ -98,7 +98,7 @@ def check(recording: Recording, n: int) -> None:
 
 
 def read_rosbags(path: Path, n: int) -> None:
-    """Read by rosbags, as its documentation shows."""
+    """Read with rosbags, as in its documentation."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
@@ -114,7 +114,7 @@ def read_rosbags(path: Path, n: int) -> None:
 
 
 def read_mcap(path: Path, n: int) -> None:
-    """Read by mcap and mcap_ros2, as their documentation shows."""
+    """Read with mcap and mcap_ros2, as in their documentation."""
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
@@ -129,7 +129,7 @@ def read_mcap(path: Path, n: int) -> None:
 
 
 def decompress(path: Path, n: int) -> None:
-    """Read all chunks and decompress them, nothing else."""
+    """Read and decompress all chunks only."""
     del n
     from imucal.readers.compression import keep_freed_memory
 
@@ -168,7 +168,7 @@ def _decompress_bag(path: Path) -> None:
 
 
 def bag_chunks(path: Path) -> list[tuple[int, int, str]]:
-    """Return where the data of each chunk of a bag lie, their size, and their compression."""
+    """Return position, size and compression of each chunk's data in a bag."""
     found: list[tuple[int, int, str]] = []
     place = 13
     with path.open("rb") as file:
@@ -187,7 +187,7 @@ def bag_chunks(path: Path) -> list[tuple[int, int, str]]:
 
 
 def _parse(path: Path) -> None:
-    """Parse a table of numbers by polars, nothing else."""
+    """Parse a table of numbers with polars only."""
     import polars as pl
 
     schema = {str(i): pl.Float64 if i else pl.Int64 for i in range(7)}
@@ -214,12 +214,12 @@ def _read_file(path: Path) -> None:
 
 
 def read_loadtxt(path: Path, n: int) -> None:
-    """Read a table by NumPy."""
+    """Read a table with NumPy."""
     np.loadtxt(path, delimiter=",", skiprows=1, max_rows=n)
 
 
 def idle_chunks_read(path: Path) -> tuple[int, int]:
-    """Return how many chunks without IMU messages are read of an MCAP file, and how many there are."""
+    """Return the number of chunks without IMU messages that are read from an MCAP file, and their total."""
     from mcap.reader import make_reader
 
     from imucal.readers import read
@@ -305,7 +305,7 @@ def peak_memory() -> float:
 
 
 def main() -> None:
-    """Print one line a format and reader, and the table of targets."""
+    """Print one line per format and reader, and the table of targets."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--n", type=int, default=1_000_000, help="messages in each log")
     parser.add_argument("--peers", type=int, default=40_000, help="messages that peers read")
@@ -336,7 +336,7 @@ def main() -> None:
 
 
 def long_log(path: Path) -> None:
-    """Print what reading a log costs, on one thread and in threads, in y; see `bench_job`."""
+    """Print the cost of reading a log, on one and more threads, in y; see `bench_job`."""
     from tests.benchmarks.bench_job import yardstick
 
     y = yardstick()
@@ -347,7 +347,7 @@ def long_log(path: Path) -> None:
 
 
 def _report(name: str, folder: Path, given: argparse.Namespace) -> str:
-    """Print what each reader costs on a log; return its row of the table of targets."""
+    """Print the cost of each reader for a log; return its row of the table of targets."""
     kind = name.partition("-")[0]
     # A log with pictures is large.
     n = given.n if kind != "camera" else min(given.n, 2000)

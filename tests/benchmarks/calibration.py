@@ -153,7 +153,7 @@ def white_rest(means: FloatArray, f: FloatArray, K: FloatArray) -> tuple[FloatAr
 
 
 def one_chain(one: Log, models: tuple[NoiseModel, NoiseModel], *, white: bool = False) -> Found:
-    """Return what the whole chain finds; with white noise and exact directions if `white`."""
+    """Return the result of all steps; with white noise and exact directions if `white`."""
     n, spans = len(one.f), one.spans
     data = [
         Triad(sensor=s, samples=x, rate_hz=RATE)
@@ -203,7 +203,7 @@ def one_chain(one: Log, models: tuple[NoiseModel, NoiseModel], *, white: bool = 
 
 
 def gyroscope(records: int, seed: int) -> None:
-    """Print coverage of C, G and b over the whole chain; white: white noise only, exact directions."""
+    """Print coverage of C, G and b over all steps; white: white noise only, exact directions."""
     for name, texts in SENSORS.items():
         models = NoiseModel.parse(texts[0]), NoiseModel.parse(texts[1])
         for count, rest_s in ((12, 5.0), (20, 10.0)):
@@ -226,7 +226,7 @@ def gyroscope(records: int, seed: int) -> None:
 
 
 def faults(records: int, seed: int) -> None:
-    """Print how often a clipped turn and a creeping rest are found, and how often others are blamed."""
+    """Print detection rates of a clipped turn and a creeping rest, and false alarms."""
     models = NoiseModel.parse(SENSORS["consumer"][0]), NoiseModel.parse(SENSORS["consumer"][1])
     counts = dict.fromkeys(("turn found", "turn blamed", "rest found", "rest blamed"), 0)
     for k in range(records):
@@ -589,7 +589,7 @@ def real() -> None:
         held = arrays.keeping(out)
         carried = _carry(held, part.C)
         S = _covariance(held, carried, noise, directions, part.C)
-        # A misfit widens the noise of a turn as it widens the parameters.
+        # A misfit widens the noise of a turn like the parameters.
         S = S * part.widening**2 + carried.J @ part.covariance @ carried.J.T
         inside.append(np.abs(carried.residual.ravel()) < part.quantile * np.sqrt(np.diag(S)))
     print(

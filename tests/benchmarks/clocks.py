@@ -1,17 +1,16 @@
-"""How many clocks of known truth are read right, and the clocks of real logs: rate, samples, gaps, findings.
+"""Accuracy of clocks with known truth, and the clocks of real logs: rate, samples, gaps, findings.
 
     python -m tests.benchmarks.clocks 3000 --seed 7
     python -m tests.benchmarks.clocks 1000 --seed 7 --pathologies
     python -m tests.benchmarks.clocks --real FOLDER > now.txt    # the same at another commit, and diff
 
 The sweep draws buffers of 2 to 128 samples with own ticks of 1 us to 1 ms, fixed and random, on clocks of ns,
-us and ms, with and without a gap or a stop of an hour; and losses of 0.1 to 40 % with jitter. Right is a rate
-within 0.1 % with all samples kept; refused is an error that names two readings.
+us and ms, with and without a gap or a stop of an hour; and losses of 0.1 to 40 % with jitter. A clock is
+right if its rate is within 0.1 % and all samples are kept; it is refused by an error with two readings.
 
-`--pathologies` draws concatenated trials, duty cycles, FIFO overruns, clocks whose tick is longer than half a
-period, rates that change and two sensors under one name. Right also needs the number of missing samples;
-a refusal
-or a warning counts only if it names the true rate within 0.5 %.
+`--pathologies` draws concatenated trials, duty cycles, FIFO overruns, clocks with a tick above half a
+period, changing rates and two sensors under one name. Right also needs the number of missing samples; a
+refusal or a warning only counts if it contains the true rate within 0.5 %.
 """
 
 import argparse
@@ -43,7 +42,7 @@ _LOGS = {".csv", ".txt", ".bag", ".mcap", ".db3", ".ulg", ".npz"}
 
 
 def drawn(rng: np.random.Generator) -> tuple[str, Awkward]:
-    """Return a clock of random kind, by name."""
+    """Return the name and a clock of random kind."""
     rate, n = float(rng.choice([50, 100, 104, 200, 208, 400, 416])), int(rng.choice([2500, 4000, 10_000]))
     if rng.random() < 0.3:
         share, jitter = float(rng.choice([0.001, 0.01, 0.05, 0.2, 0.4])), float(rng.choice([0, 0.02, 0.05]))
@@ -51,7 +50,7 @@ def drawn(rng: np.random.Generator) -> tuple[str, Awkward]:
         return name, lossy(rate, share, jitter=jitter, n=n, seed=int(rng.integers(1 << 30)))
     size, own = int(rng.choice(SIZES)), float(rng.choice([1, 10, 100, 300, 1000]))
     tick, seed = int(rng.choice([1, US, MS])), int(rng.integers(2)) * int(rng.integers(1, 1 << 30))
-    # Whoever reads a buffer is done before it is full again.
+    # A buffer is read before it is full again.
     anchor = str(rng.choice(["first", "last", *(["read"] if own * US < 0.3 * SECOND / rate else [])]))
     case = fifo(rate, size, own, tick, n=n, seed=seed, anchor=anchor)
     kind, place = str(rng.choice(["whole", "gap", "stop"])), np.arange(n)
@@ -114,18 +113,18 @@ def _changing(rng: np.random.Generator) -> tuple[str, Awkward]:
 
 
 def pathology(rng: np.random.Generator) -> tuple[str, Awkward]:
-    """Return a clock of random kind whose stamps have a wrong reading that is close at hand, by name."""
+    """Return the name and a clock of random kind with a plausible wrong reading."""
     return (_trials, _duty, _coarse, _changing)[rng.integers(4)](rng)
 
 
 def _names(text: str, rate_hz: float) -> bool:
-    """Return whether a message names a rate within 0.5 % of the true one."""
+    """Return whether a message contains a rate within 0.5 % of the true one."""
     rates = re.findall(r"([0-9.]+(?:e[+-]?[0-9]+)?) Hz", text)
     return any(abs(float(rate) / rate_hz - 1) <= 0.005 for rate in rates)
 
 
 def verdict_of_pathology(case: Awkward) -> str:
-    """Return the verdict on such a clock; a finding that names the cause makes a wrong rate known."""
+    """Return the verdict on a pathological clock; a wrong rate with a finding about its cause is known."""
     try:
         reading = clock_from_stamps(case.stamps, source="stamps")
     except ChoiceError as error:
@@ -134,17 +133,17 @@ def verdict_of_pathology(case: Awkward) -> str:
     lost = int(case.samples[-1] - case.samples[0]) + 1 - case.stamps.size
     off = abs(clock.rate_hz / case.rate_hz - 1)
     gaps = np.count_nonzero(np.diff(case.samples) > 1)
-    # A coarse or jittering stamp hides at most one sample of a gap.
+    # Coarse or jittering stamps hide at most one sample of a gap.
     kept = (
         clock.n >= 0.998 * case.stamps.size - 2
         and abs(clock.missing - lost) <= 2 + gaps + (1e-3 + off) * lost
     )
-    told = " ".join(f.text for f in reading.findings if f.code in {"two-readings", "rate-changes"})
-    if _names(told, case.rate_hz):
+    messages = " ".join(f.text for f in reading.findings if f.code in {"two-readings", "rate-changes"})
+    if _names(messages, case.rate_hz):
         return f"warned: {off:.2%} off"
-    if told:
-        return f"wrong: warned without the rate: {told}"
-    # The least-squares slope of short trials with jitter is no better than this.
+    if messages:
+        return f"wrong: warned without the rate: {messages}"
+    # The least-squares slope of short trials with jitter is not more precise.
     sizes = np.diff(np.flatnonzero(np.diff(case.samples, prepend=-9, append=1 << 60) > 1))
     best = 4 * np.sqrt(12) * clock.jitter_s * clock.rate_hz / np.sqrt(float((sizes**3.0).sum()))
     if off < max(1e-3, best) and kept:
@@ -153,7 +152,7 @@ def verdict_of_pathology(case: Awkward) -> str:
 
 
 def verdict(case: Awkward) -> str:
-    """Return whether a clock is read right, is refused, or is wrong, and how."""
+    """Return whether a clock is right, refused or wrong, with the reason."""
     try:
         clock = clock_from_stamps(case.stamps, source="stamps").clock
     except ImucalError:
@@ -163,7 +162,7 @@ def verdict(case: Awkward) -> str:
 
 
 def of_real(path: Path) -> str:
-    """Return the clocks of a log and what was found, or why it is not read as it is."""
+    """Return the clocks and findings of a log, or the reason of an error."""
     try:
         recording = read(path, gyro_unit="deg/s", accel_unit="g")
     except ImucalError as error:
@@ -190,11 +189,11 @@ def main() -> None:
     found = Counter[str]()
     for _ in range(arguments.count):
         name, case = pathology(rng) if arguments.pathologies else drawn(rng)
-        said = verdict_of_pathology(case) if arguments.pathologies else verdict(case)
-        found[said.partition(":")[0]] += 1
-        if said != "right":
-            print(f"{name}: {said}")
-    print(", ".join(f"{count} {said}" for said, count in sorted(found.items())))
+        outcome = verdict_of_pathology(case) if arguments.pathologies else verdict(case)
+        found[outcome.partition(":")[0]] += 1
+        if outcome != "right":
+            print(f"{name}: {outcome}")
+    print(", ".join(f"{count} {outcome}" for outcome, count in sorted(found.items())))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""The tables of docs/ that are made from the code: findings, exit codes, JSON keys, formats, programs.
+"""The generated tables of docs/: findings, exit codes, JSON keys, formats, programs.
 
-A page contains each between ``<!-- table: NAME -->`` and ``<!-- end -->``.
+A page contains each table between ``<!-- table: NAME -->`` and ``<!-- end -->``.
 
     python -m tests.benchmarks.code_tables
 
@@ -58,7 +58,7 @@ def _exit_codes() -> str:
 
 
 def _keys(name: str) -> Callable[[], str]:
-    """Return what makes the table of the keys of a part of report.json."""
+    """Return the function that creates the table of the keys of a part of report.json."""
 
     def table() -> str:
         text = (files("imucal.report") / "schema" / "report-2.schema.json").read_text(encoding="utf-8")
@@ -89,11 +89,11 @@ def _programs() -> str:
 
 
 def _escaped(text: str) -> str:
-    """Return a text with the signs that Markdown would take for its own escaped."""
+    """Return a text with Markdown's special characters escaped."""
     return re.sub(r"([*|<])", r"\\\1", text)
 
 
-#: Name of a table -> what makes it.
+#: Name of a table -> function that creates it.
 _TABLES: dict[str, Callable[[], str]] = {
     "findings": _findings,
     "exit codes": _exit_codes,

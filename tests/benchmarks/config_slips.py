@@ -1,7 +1,7 @@
-"""How often a config of one record is called wrong by the report of another, and how often slips are named.
+"""False alarms on configs of another record of the same sensor, and detection of common mistakes.
 
 ``python -m tests.benchmarks.config_slips --seed 81 --pairs 6`` simulates pairs of records of one gyroscope,
-exports a Kalibr file of the first, and checks it, as it is and with each slip, against the second.
+exports a Kalibr file of the first, and checks it, unchanged and with each mistake, against the second.
 """
 
 import argparse
@@ -28,7 +28,7 @@ TRUTHS = (
     "N=1e-4 + GM(sigma=3e-5, T=60)",
 )
 MINUTES = (10, 60)
-#: What is done to a number, and what is to be said of it.
+#: Mistake -> change of the number, and part of the expected text.
 SLIPS: dict[str, tuple[Callable[[float], float], str]] = {
     "sqrt(f)": (lambda c: c * math.sqrt(RATE_HZ), "large: by sqrt(f)"),
     "1/sqrt(f)": (lambda c: c / math.sqrt(RATE_HZ), "small: by sqrt(f)"),
@@ -50,13 +50,13 @@ def report_of(truth: str, minutes: float, seed: int) -> Report:
 
 
 def rows_of(text: str, report: Report, file: Path) -> dict[str, Row]:
-    """Return the verdicts on a config's white noise and walk."""
+    """Return the verdicts on a config's white noise and random walk."""
     file.write_text(text, encoding="utf-8")
     return {row.subject: row for row in check_config(file, report) if row.where != "log"}
 
 
 def main() -> None:
-    """Print verdicts on right configs, and of each slip how often it was named and failed."""
+    """Print verdicts on correct configs, and how often each mistake was identified and failed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=81)
     parser.add_argument("--pairs", type=int, default=6)
@@ -71,13 +71,13 @@ def main() -> None:
                     rows = rows_of(render(one, "kalibr"), other, file)
                     right.update(f"{key.partition('_')[2]} {row.verdict}" for key, row in rows.items())
                     values = {key: row.measured.value or 0.0 for key, row in rows.items() if row.measured}
-                    for slip, (make, said) in SLIPS.items():
+                    for slip, (make, expected) in SLIPS.items():
                         for key, number in values.items():
                             wrong = {**values, key: make(number)}
                             text = "".join(f"{name}: {value!r}\n" for name, value in wrong.items())
                             row = rows_of(text, other, file)[key]
                             cell = f"{slip} {key.partition('_')[2]}"
-                            named[cell] += said in row.text
+                            named[cell] += expected in row.text
                             failed[cell] += row.verdict == "fail"
                 print(f"{minutes} min, {truth}: {dict(right)}")
                 print("  named, failed:", {cell: (named[cell], failed[cell]) for cell in failed}, flush=True)

@@ -1,22 +1,23 @@
-"""Whether a filter that is given our numbers is right about its own error: the proof of `filter_numbers`.
+"""Consistency of a filter with the numbers of `filter_numbers`: its predicted and true errors.
 
     nice python -m tests.benchmarks.consistency [--file FITS.pkl] [--count 24] [--seed 2026] [--jobs 2]
     nice python -m tests.benchmarks.consistency --axes | --known | --real | --graph [--records 6] [--runs 200]
 
-Without an option, 10 truths x 4 lengths x 24 records are fitted as a user does: 0.2 CPU s each; the file
-keeps them, and a second run goes on with it. For each, and each rule for two numbers, the exact NEES of a
-filter of angle and bias that is aided at 1 Hz and then coasts 1 to 1000 s. Tables: the share of records with
-NEES > 1.2; predicted over true deviation; the filter's true error over that of the best rule.
+Without an option, 10 truths x 4 lengths x 24 records are fitted with the defaults: 0.2 CPU s each. The file
+stores the fits, and another run continues. For each fit and each rule for two numbers, the script computes
+the exact NEES of a filter of angle and bias that is aided at 1 Hz and then coasts 1 to 1000 s. The tables
+contain the share of records with NEES > 1.2, the predicted divided by the true deviation, and the filter's
+true error relative to the best rule.
 
-`--axes`: the same of one pair for three axes, from the same fits.
+`--axes`: one pair for three axes, from the same fits.
 
-`--known`: the truth itself is covered, no record; the worst NEES over filters of many kinds, and the price.
+`--known`: the true model is covered, without a record; the worst NEES over many filters, and the price.
 
-`--real`: both runs of the ADIS16405 (in the folder that IMUCAL_REAL_DATA names): one part is fitted,
-another one checked, by the filter's error on its samples and by its Allan variance.
+`--real`: both runs of the ADIS16405 (in the folder IMUCAL_REAL_DATA): one part is fitted and another one
+checked, by the filter's error on its samples and by its Allan variance.
 
-`--graph`: a factor graph of GTSAM, where that is installed, aided in attitude at 1 Hz for 5 minutes, then
-coasting for 60 s; its errors are drawn.
+`--graph`: a factor graph of GTSAM, if installed, aided in attitude at 1 Hz for 5 minutes, then coasting for
+60 s, with simulated errors.
 
 The tables are those of docs/results/consistency.md, in Markdown.
 """
@@ -44,11 +45,11 @@ __all__ = ["RULES", "as_fitted", "covered", "known_fit"]
 
 Rule: TypeAlias = Callable[[NoiseFit], tuple[float, float]]
 
-#: A filter is too sure of itself above this: its deviation is a tenth too small.
+#: Filters above this NEES are overconfident: their predicted deviation is a tenth too small.
 TOO_SURE = 1.2
-#: Of real records, where the check itself has noise.
+#: Limit for real records, where the check itself has noise.
 TOO_SURE_REAL = 1.5
-#: Truths beside those of the records, for `known`: where two numbers fit badly.
+#: Additional truths for `known`, which two numbers describe poorly.
 HARD = {
     "B = 3 N": "N=1e-3 + B=3e-3",
     "N + GM, 20 s, large": "N=1e-3 + GM(sigma=5e-3, T=20)",
@@ -58,7 +59,7 @@ HARD = {
 
 
 def as_fitted(fit: NoiseFit) -> tuple[float, float]:
-    """Return N and K of the fit, or the bound on one that is not shown."""
+    """Return N and K of the fit, or the bound of an undetected one."""
     N, K = (fit[symbol].value or fit[symbol].high for symbol in "NK")
     return N, K
 
@@ -70,7 +71,7 @@ def covered(fit: NoiseFit) -> tuple[float, float]:
 
 
 def covered_to_a_minute(fit: NoiseFit) -> tuple[float, float]:
-    """Return the pair for a horizon of 60 s, as exports for cameras and lidars have it."""
+    """Return the pair for a horizon of 60 s, as in exports for cameras and lidars."""
     pair = filter_numbers([fit], horizon_s=60.0)
     return pair.white, pair.walk
 
@@ -82,14 +83,14 @@ def by_habit(fit: NoiseFit) -> tuple[float, float]:
 
 
 def curve_covered(fit: NoiseFit) -> tuple[float, float]:
-    """Return the pair that covers the upper limits of the Allan curve, with no model."""
+    """Return the pair that covers the upper limits of the Allan curve, without a model."""
     return covered(imucal.fit(fit.curve, method="slope"))
 
 
 def allan_variance_ros(fit: NoiseFit) -> tuple[float, float]:
-    """Return its two lines: slope -1/2 through tau of 0.1 to 10 s, +1/2 through 0.1 to 1000 s.
+    """Return that tool's two lines: slope -1/2 through tau of 0.1 to 10 s, +1/2 through 0.1 to 1000 s.
 
-    On the overlapping curve; its own is of disjoint averages at each 0.1 s.
+    They are fitted to the overlapping curve; the tool's own curve has disjoint averages at each 0.1 s.
     """
     tau, adev = fit.curve.tau, fit.curve.adev
     at = np.arange(max(0.1, tau[0]), min(1000.0, tau[-1]), 0.1)
@@ -101,7 +102,7 @@ def allan_variance_ros(fit: NoiseFit) -> tuple[float, float]:
 
 
 def reading(fit: NoiseFit) -> tuple[float, float]:
-    """Return what is read off the curve: at 1 s, and a line of slope +1/2 beyond twice the minimum's tau."""
+    """Return values read from the curve: at 1 s, and a line of slope +1/2 beyond twice the minimum's tau."""
     tau, adev = fit.curve.tau, fit.curve.adev
     white = float(np.interp(1.0, tau, adev))
     late = tau >= 2 * tau[np.argmin(adev)]
@@ -181,7 +182,7 @@ def records(every: Mapping[Record, NoiseFit], count: int, seed: int) -> None:
 
 
 def triads(every: Mapping[Record, NoiseFit], count: int, seed: int) -> None:
-    """Print the tables of one pair for three axes: of one truth, and of three that differ."""
+    """Print the tables of one pair for three axes: with one truth, and with three different truths."""
     rng = np.random.default_rng(seed)
     same = [
         [Record(truth, length, 3 * i + axis, seed) for axis in range(3)]
@@ -241,7 +242,7 @@ def known_fit(text: str) -> NoiseFit:
 
 
 def known() -> None:
-    """Print the worst NEES over filters where the truth itself is covered."""
+    """Print the worst NEES over filters if the true model is covered."""
     print(
         "\nWorst NEES over angles of 0.1 to 100 mrad and 60 to 2000 updates (predicted over true deviation)\n"
     )
@@ -260,7 +261,7 @@ def known() -> None:
 
 
 def real() -> None:
-    """Print for how many parts of real records the numbers of another part are too sure."""
+    """Print for how many parts of real records the numbers of another part are overconfident."""
     print(f"\nObserved over predicted variance at 60 s: > {TOO_SURE_REAL}, % (median, largest)\n")
     rules = {"N and K": as_fitted, "pair": covered, "curve": curve_covered}
     ways = [f"{name}, {way}" for name in rules for way in ("its filter", "Allan variance")]
@@ -305,8 +306,8 @@ _CHOICES = {
 def observed(pair: tuple[float, float], series: AxisSeries, coast_s: int = 60) -> tuple[float, float]:
     """Return observed over predicted variance: of the filter's error over the record, and of its curve.
 
-    The filter is aided 300 times with an angle of twice N. Its weights run along the seconds of the record;
-    those of the curve are -1 and 1 over a coast: the mean of one span predicts the next.
+    The filter is aided 300 times with an angle of twice N. Its weights are applied to all seconds of the
+    record; those of the curve are -1 and 1 over a coast: the mean of one span predicts the next.
     """
     N, K = pair
     whole = round(series.rate_hz)
@@ -335,7 +336,7 @@ def graph(count: int, runs: int, seed: int) -> None:
 
 
 def main() -> None:
-    """Print what is asked for."""
+    """Print the requested tables."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,6 +1,6 @@
-"""Records of known noise and their fits, kept in a file that a second run goes on with.
+"""Records of known noise and their fits, stored in a file that another run extends.
 
-Ten truths, four lengths; the fits are those that a user gets, with the model chosen by the data.
+There are ten truths and four lengths; the fits are the default ones, with a chosen model.
 """
 
 import pickle
@@ -18,7 +18,7 @@ from imucal import NoiseFit, NoiseModel
 
 __all__ = ["LENGTHS", "TRUTHS", "Record", "fits"]
 
-#: A consumer gyroscope's white noise, in rad/s/sqrt(Hz), and what is slower than that.
+#: White noise of a consumer gyroscope, in rad/s/sqrt(Hz), with slower noise.
 TRUTHS = {
     "N": "N=1e-3",
     "N + K": "N=1e-3 + K=3e-5",
@@ -36,7 +36,7 @@ LENGTHS = {"10 min": (600, 10.0), "33 min": (2000, 10.0), "2 h": (7200, 10.0), "
 
 
 class Record(NamedTuple):
-    """Which record: its truth and length by name, its number, the seed of the whole set."""
+    """Identity of a record: names of truth and length, its number, and the seed of the set."""
 
     truth: str
     length: str
@@ -45,16 +45,16 @@ class Record(NamedTuple):
 
     @property
     def rate_hz(self) -> float:
-        """Its sampling rate."""
+        """Sampling rate."""
         return LENGTHS[self.length][1]
 
     @property
     def model(self) -> NoiseModel:
-        """What it is drawn from."""
+        """True model."""
         return NoiseModel.parse(TRUTHS[self.truth])
 
     def fit(self) -> tuple[NoiseFit, float]:
-        """Return its fit and the CPU seconds that took."""
+        """Return the fit and its CPU seconds."""
         duration_s, rate_hz = LENGTHS[self.length]
         rng = np.random.default_rng(
             [self.seed, zlib.crc32(f"{self.truth} {self.length}".encode()), self.number]
@@ -66,7 +66,7 @@ class Record(NamedTuple):
 
 
 def fits(file: Path, *, count: int, seed: int, jobs: int) -> dict[Record, NoiseFit]:
-    """Return the fits of `count` records a cell; those that the file lacks are made and added to it."""
+    """Return the fits of `count` records per cell; missing ones are computed and added to the file."""
     found = dict(_kept(file))
     wanted = [Record(t, n, i, seed) for i in range(count) for n in LENGTHS for t in TRUTHS]
     missing = [record for record in wanted if record not in found]
@@ -87,7 +87,7 @@ def fits(file: Path, *, count: int, seed: int, jobs: int) -> dict[Record, NoiseF
 
 
 def _kept(file: Path) -> Iterator[tuple[Record, NoiseFit]]:
-    """Yield what earlier runs have written; one that was killed may have left half a fit at the end."""
+    """Yield the stored fits; a killed run may have left an incomplete fit at the end."""
     if not file.exists():
         return
     with file.open("rb") as kept:

@@ -1,7 +1,7 @@
-"""What GTSAM and pymavlink make of the exports, as a table; it needs no more than the standard venv module.
+"""Table of the values that GTSAM and pymavlink read from exports; it only needs the standard venv module.
 
 ``IMUCAL_CONSUMERS=venv42/bin/python:venv43/bin/python python -m tests.benchmarks.consumers``, where the
-environments were made by ``pip install 'gtsam==4.2' 'numpy<2'``, ``pip install gtsam==4.3.0``, and
+environments were created by ``pip install 'gtsam==4.2' 'numpy<2'``, ``pip install gtsam==4.3.0``, and
 ``pip install pymavlink``.
 """
 
@@ -16,7 +16,7 @@ from tests.report.synthetic import consumer_report
 
 
 def main() -> None:
-    """Print one line a program and number: what it makes of the file, what the fit says, their ratio."""
+    """Print one line per program and number: its value, the fit's value, and their ratio."""
     print(f"{'program':<18} {'after 1 s, or key':<24} {'found':>12} {'expected':>12} {'ratio':>9}")
     with TemporaryDirectory() as folder:
         _gtsam(Path(folder))
@@ -26,7 +26,7 @@ def main() -> None:
 
 def _gtsam(folder: Path) -> None:
     (file,) = export(consumer_report(), "gtsam", folder)
-    # As exported by the first version: without the bias's covariance at the start.
+    # Variant without the initial covariance of the bias.
     bare = folder / "bare.py"
     bare.write_text(file.read_text().replace("hasattr(params, name)", "False"))
     given = READERS["gtsam"](file)

@@ -1,9 +1,9 @@
-"""How often the intervals of an Allan curve hold the truth: prints markdown tables.
+"""Coverage of the intervals of an Allan curve: prints tables in Markdown.
 
     python tests/benchmarks/coverage_allan.py [replications] [edf method]
 
-Every series has n = 4096 samples; the curve is the default one (octaves, m <= n/4). The settings
-of the first table are those the method was built on, those of the second it never saw.
+Every series has n = 4096 samples; the curve is the default one (octaves, m <= n/4). The method was
+designed on the settings of the first table; those of the second are held out.
 """
 
 import sys
@@ -25,12 +25,12 @@ __all__ = ["GAPPY", "HELD_OUT", "STANDARD", "N", "Setting", "coverage"]
 N = 4096
 LEVELS = (0.68, 0.95)
 
-#: Draws a series; returns it. The truth is a function of the averaging factors.
+#: Draws a series. The truth is a function of the averaging factors.
 Setting = tuple[Callable[[np.random.Generator], FloatArray], Callable[[FloatArray], FloatArray]]
 
 
 def of_model(text: str) -> Setting:
-    """Return the setting of a model at one sample a second."""
+    """Return the setting of a model at one sample per second."""
     model = NoiseModel.parse(text)
     return partial(_draw_model, model), partial(_model_truth, model)
 
@@ -56,7 +56,7 @@ def _draw_filtered(numerator: FloatArray, denominator: FloatArray, rng: np.rando
 
 
 def _filtered_truth(numerator: FloatArray, denominator: FloatArray, m: FloatArray) -> FloatArray:
-    """Average the psd times the response of the Allan variance over a fine grid of frequencies."""
+    """Return the mean of the psd times the response of the Allan variance over a fine frequency grid."""
     from scipy.signal import freqz
 
     omega = np.pi * (np.arange(1 << 18) + 0.5) / (1 << 18)
@@ -125,7 +125,7 @@ def _bursts(number: int, length: int, rng: np.random.Generator) -> NDArray[np.bo
 
 
 def losing(text: str, lose: Callable[[np.random.Generator], NDArray[np.bool_]]) -> Setting:
-    """Return the setting of a model of which some samples are NaN, but never the first and last."""
+    """Return the setting of a model with some samples NaN, except the first and last."""
     model = NoiseModel.parse(text)
 
     def draw(rng: np.random.Generator) -> FloatArray:
@@ -155,7 +155,7 @@ GROUPS = {"standard": STANDARD, "held out": HELD_OUT, "gaps": GAPPY}
 def coverage(
     setting: Setting, replications: int, seed: int, *, edf: str = "hybrid", level: float = 0.95
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the averaging factors and the share of intervals that hold the truth, each (k,)."""
+    """Return the averaging factors and the share of intervals that cover the truth, each (k,)."""
     draw, truth = setting
     rng = np.random.default_rng(seed)
     m = np.exp2(np.arange(np.log2(N / 4) + 1))

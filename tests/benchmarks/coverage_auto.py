@@ -1,13 +1,13 @@
-"""Coverage of N, B and K when the model is not known: `imucal.fit` as a user runs it.
+"""Coverage of N, B and K with an unknown model: `imucal.fit` with its defaults.
 
     python tests/benchmarks/coverage_auto.py --records 100 --seed 1 [--truth "N + B + K" …] [--jobs 2]
 
-Each row is one truth, a consumer gyroscope at 100 Hz for 33 min: how many of 100 intervals hold the
-true coefficient (0 where the truth has no such term; K of a Gauss-Markov term of 100 s and more is the walk
-that it begins with, where K is shown), how often the term is shown (its interval excludes 0), how many of
-those that are shown hold it, and the median of the upper limit; how many of the segments' floors hold the
-true one; and in how many records K is shown, or not, both as they are and averaged to 1 Hz. The standard
-error of a figure of 95 % is 2.2 points with 100 records.
+Each row is one truth, a consumer gyroscope at 100 Hz for 33 min. The columns are the number of intervals
+that cover the true coefficient, the number of detections (the interval excludes 0), the number of detections
+that cover it, and the median of the upper limit. Further columns are the number of segments' floors whose
+interval covers the true floor, and of records in which K is detected or not both at 100 Hz and averaged to
+1 Hz. The truth of an absent term is 0. The truth of K for a Gauss-Markov term of 100 s and more is the walk
+that it begins with, if K is detected. The standard error of 95 % is 2.2 points with 100 records.
 """
 
 import argparse
@@ -25,7 +25,7 @@ import imucal
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import ALWAYS, GaussMarkov
 
-#: Name -> model; a record is `N` samples at `RATE_HZ`, or as `RECORDS` has it.
+#: Name -> model; a record has `N` samples at `RATE_HZ`, or the values in `RECORDS`.
 TRUTHS = {
     "N + K, n = 1e4": "N=1 + K=0.01",
     "N": "N=1e-4",
@@ -45,15 +45,15 @@ TRUTHS = {
 RATE_HZ = 100.0
 N = 200_000
 RECORDS = {"N + K, n = 1e4": (10_000, 1.0)}
-#: A Gauss-Markov term as slow as this, in s, is a walk to the record.
+#: A Gauss-Markov term of this time or longer, in s, is a random walk in the record.
 SLOW_S = 100.0
 
 
 class Found(NamedTuple):
-    """What is counted of one record.
+    """Results of one record.
 
-    `limits` of N, B and K; `floors` that hold the true one, shape (s,); whether K is shown at both rates
-    alike, None where that is not asked; and the CPU seconds of the fit.
+    `limits` of N, B and K; `floors` that cover the true one, shape (s,); whether K is detected or not at both
+    rates, None if not computed; and the CPU seconds of the fit.
     """
 
     limits: list[tuple[float, float]]
@@ -63,7 +63,7 @@ class Found(NamedTuple):
 
 
 def found_of(name: str, seed: int, model: str, record: int) -> Found:
-    """Return what is counted of one record."""
+    """Return the results of one record."""
     key = zlib.crc32(name.encode())
     rng = np.random.default_rng([seed, key, record])
     truth = NoiseModel.parse(TRUTHS[name])

@@ -3,8 +3,8 @@
     python -m tests.benchmarks.curve_fits --samples 100000 --records 300 --weights full
 
 Settings A-F are those of the documentation (per-sample units). Errors are compared with the
-Cramér-Rao bound of `imucal.fitting.spectral.precision`. Seed 77, never tuned. One record costs about 0.3 s of
-CPU, most of it the covariance of the curve.
+Cramér-Rao bound of `imucal.fitting.spectral.precision`. The seed 77 was never used for tuning. A record
+takes about 0.3 s of CPU, mostly for the covariance of the curve.
 """
 
 import argparse
@@ -30,7 +30,7 @@ SETTINGS = {
 
 
 def main() -> None:
-    """Print one line a parameter."""
+    """Print one line per parameter."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--samples", type=int, default=100_000)
     parser.add_argument("--records", type=int, default=100)
@@ -42,7 +42,7 @@ def main() -> None:
 
 
 def run(setting: str, n: int, records: int, weights: str) -> None:
-    """Fit so many records of a setting and print what came of it."""
+    """Fit `records` records of a setting and print the results."""
     truth = NoiseModel.parse(SETTINGS[setting])
     bound = relative_deviations(truth, rate_hz=1.0, duration_s=float(n))
     rng = np.random.default_rng(77)
@@ -67,7 +67,7 @@ def run(setting: str, n: int, records: int, weights: str) -> None:
 
 
 def values(model: NoiseModel) -> dict[str, float]:
-    """Return the parameters by name, Gauss-Markov terms by rising correlation time."""
+    """Return the parameters by name, Gauss-Markov terms by increasing correlation time."""
     terms = sorted((t.T, t.sigma) for t in model.terms if hasattr(t, "T") and hasattr(t, "sigma"))
     found = {t.symbol: t.coefficient for t in model.terms if t.symbol != "GM"}
     for place, (long, sigma) in enumerate(terms, start=1):
@@ -77,7 +77,7 @@ def values(model: NoiseModel) -> dict[str, float]:
 
 
 def inside(fit: NoiseFit, name: str, value: float) -> bool:
-    """Return whether an interval holds the truth."""
+    """Return whether an interval covers the truth."""
     key, _, part = name.partition(".")
     estimate = fit[key]
     if part == "T":

@@ -1,13 +1,13 @@
-"""How well the best test there can be tells a disturbance from noise, and how well imucal does.
+"""Power of an ideal test for disturbances, compared with imucal.
 
     python tests/benchmarks/disturbance_limits.py step [records] [seed]
     python tests/benchmarks/disturbance_limits.py cycle [records] [seed]
     python tests/benchmarks/disturbance_limits.py clean [records] [seed]
 
-The ideal test knows the background's spectrum and the step's height. One in a hundred clean records exceeds
-its threshold. imucal knows nothing. For a cycle the ideal test knows the spectrum alone, with a threshold at
-one in 500 of four times as many clean records; another test knows the period too. The last command counts
-the disturbances that imucal finds in records of noise alone, without the rest of the analysis.
+The ideal test uses the true spectrum of the background and the step's true height. One in a hundred clean
+records exceeds its threshold. imucal uses neither. For a cycle the ideal test uses the true spectrum only,
+with a false alarm rate of one in 500, from four times as many clean records; another test also uses the true
+period. The last command counts the disturbances that imucal finds in clean noise, without other steps.
 """
 
 import sys
@@ -43,17 +43,17 @@ def variances(text: str, tau0: float) -> dict[str, float]:
 
 
 def power(with_it: Array, without: Array) -> str:
-    """Return how many records with a disturbance exceed what `CHANCE` of those without do."""
+    """Return the share of records with a disturbance above the `CHANCE` threshold of clean records."""
     return f"{100 * np.mean(with_it > np.quantile(without, 1 - CHANCE)):.0f} %"
 
 
 def block_of(samples: Array) -> Block:
-    """Return the transform of samples that hold no gap."""
+    """Return the transform of samples without gaps."""
     return Block(offset=0, bins=dct_bins(samples.size), ordinates=dct_ordinates(samples))
 
 
 def step_gain(samples: Array, text: str) -> tuple[float, bool]:
-    """Return what the best step gains beside the known spectrum, and whether imucal finds one."""
+    """Return the gain of the best step with the known spectrum, and whether imucal finds a step."""
     block = block_of(samples).lowest(4000)
     own = variances(text, 1 / RATE)
     variance = np.array([own.get(symbol, 0.0) for symbol in "QNBK"])
@@ -63,7 +63,7 @@ def step_gain(samples: Array, text: str) -> tuple[float, bool]:
 
 
 def steps(records: int, seed: int) -> None:
-    """Print the power of the ideal test for a step of known spectrum and unknown place, and of imucal."""
+    """Print the power for a step at an unknown place, of the ideal test with known spectrum and of imucal."""
     print(f"step of {STEP:g} that stays, {records} records, seed {seed}")
     print("| background | gain of the step (median) | of noise (99 %) | ideal test | imucal | on clean |")
     for number, text in enumerate((QUIET, CONSUMER)):
@@ -75,7 +75,7 @@ def steps(records: int, seed: int) -> None:
             for _ in range(records)
         ]
         with_it, without = (np.array([gain for gain, _ in kind]) for kind in (stepped, clean))
-        found = [sum(said for _, said in kind) for kind in (stepped, clean)]
+        found = [sum(is_found for _, is_found in kind) for kind in (stepped, clean)]
         print(
             f"| {text} | {np.median(with_it):.0f} | {np.quantile(without, 1 - CHANCE):.0f} "
             f"| {power(with_it, without)} | {found[0]} | {found[1]} |",
@@ -84,7 +84,7 @@ def steps(records: int, seed: int) -> None:
 
 
 def cycles(records: int, seed: int) -> None:
-    """Print the power of the ideal test for a cycle of 7e-5 over 150 to 900 s beside a known spectrum."""
+    """Print the power of the ideal test for a cycle of 7e-5 over 150 to 900 s with a known spectrum."""
     time_s = np.arange(N_SHORT) / RATE
     print(f"cycle of 7e-5 over 150 to 900 s, {records} records, seed {seed}")
     print("| background | of noise (99.8 %) | ideal test | of its four parts by period | period known |")
@@ -107,18 +107,18 @@ def cycles(records: int, seed: int) -> None:
             found.append((period_s, *gains(samples, period_s)))
         period, best, known = np.array(found).T
         limits = np.quantile([best[records:], known[records:]], 1 - CHANCE_OF_CYCLES, axis=1)
-        told = best[:records] > limits[0]
+        exceeded = best[:records] > limits[0]
         part = np.digitize(period[:records], [300, 500, 700])
         print(
-            f"| {text} | {limits[0]:.1f} | {100 * told.mean():.0f} % "
-            f"| {' '.join(f'{100 * told[part == i].mean():.0f}' for i in range(4))} % "
+            f"| {text} | {limits[0]:.1f} | {100 * exceeded.mean():.0f} % "
+            f"| {' '.join(f'{100 * exceeded[part == i].mean():.0f}' for i in range(4))} % "
             f"| {100 * np.mean(known[:records] > limits[1]):.0f} % |",
             flush=True,
         )
 
 
 def clean(records: int, seed: int) -> None:
-    """Print how often steps, cycles and warm-ups are found where there is noise alone."""
+    """Print how often steps, cycles and warm-ups are found in clean noise."""
     print(f"found in {records} clean records, seed {seed}")
     more = (
         f"N=1e-4 + GM(sigma={LEVEL}, T={DWELL_S / 2})",

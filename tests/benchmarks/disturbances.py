@@ -1,14 +1,14 @@
-"""What disturbances do to the fit, and how often a clean record is said to have one.
+"""Effect of disturbances on the fit, and false alarms in clean records.
 
     python tests/benchmarks/disturbances.py table [records] [seed]      input | N, B, K | findings
     python tests/benchmarks/disturbances.py coverage [records] [seed] [part of a name]
-                                                                        input | how many hold N, B, K
+                                                                        input | coverage of N, B, K
     python tests/benchmarks/disturbances.py clean [records] [seed]      truth | how often each finding
     python tests/benchmarks/disturbances.py filters [records] [seed]    filter | how often each finding
-    python tests/benchmarks/disturbances.py cycles [records] [seed]     truth | cycles named, and K held
+    python tests/benchmarks/disturbances.py cycles [records] [seed]     truth | cycles found, and K covered
     python tests/benchmarks/disturbances.py lengths                     length | CPU of transform and analysis
 
-Run with another version on PYTHONPATH it prints that version's figures.
+With another version on PYTHONPATH, it prints the figures of that version.
 """
 
 import sys
@@ -50,13 +50,13 @@ def noise(text: str, n: int, rng: np.random.Generator) -> Array:
 
 
 def telegraph(n: int, dwell: float, rng: np.random.Generator) -> Array:
-    """Return +1 and -1 in turn, each for an exponential time of mean `dwell` samples."""
+    """Return alternating +1 and -1, each for an exponential time of mean `dwell` samples."""
     times = np.cumsum(rng.exponential(dwell, int(3 * n / dwell) + 20))
     return np.where(np.searchsorted(times, np.arange(n)) % 2, 1.0, -1.0)
 
 
 def lagging(samples: Array, lag: float) -> Array:
-    """Return what follows with a first-order lag, in samples."""
+    """Return samples delayed by a first-order lag, in samples."""
     from scipy.signal import lfilter
 
     phi = np.exp(-1 / lag)
@@ -122,7 +122,7 @@ def _student(rng: np.random.Generator) -> tuple[Array, None]:
     return white + noise("K=1e-6", N_SHORT, rng), None
 
 
-#: Name -> truth, and samples and temperature of a record.
+#: Name -> truth, and function that returns samples and temperature of a record.
 INPUTS = {
     "cycle of 20 min in 3 h": (
         SLOW,
@@ -156,13 +156,13 @@ def report(samples: Array, temperature: Array | None = None, rate: float = RATE)
 
 
 def holds(fit: "NoiseFit", truth: str) -> dict[str, bool]:
-    """Return whether the interval of each of N, B and K holds the truth."""
+    """Return whether the interval of each of N, B and K covers the truth."""
     known = {term.symbol: term.coefficient for term in imucal.NoiseModel.parse(truth).terms}
     return {symbol: fit[symbol].low <= known.get(symbol, 0.0) <= fit[symbol].high for symbol in "NBK"}
 
 
 def shown(fit: "NoiseFit", truth: str) -> str:
-    """Return each estimate over the truth, its interval marked where it misses it."""
+    """Return each estimate with its interval, marked if it misses the truth."""
     words = []
     for symbol, held in holds(fit, truth).items():
         e = fit[symbol]
@@ -173,7 +173,7 @@ def shown(fit: "NoiseFit", truth: str) -> str:
 
 
 def coverage(records: int, seed: int) -> None:
-    """Print how many records of each disturbance hold the truth, and what is said of them."""
+    """Print how many records of each disturbance cover the truth, and their findings."""
     wanted = sys.argv[4] if len(sys.argv) > 4 else ""
     for number, (name, (truth, make)) in enumerate(INPUTS.items()):
         if wanted not in name:
@@ -189,7 +189,7 @@ def coverage(records: int, seed: int) -> None:
 
 
 def table(records: int, seed: int) -> None:
-    """Print what each disturbance does."""
+    """Print the effect of each disturbance."""
     for name, (truth, make) in INPUTS.items():
         for record in range(records):
             samples, warm = make(np.random.default_rng([seed, record, len(name)]))
@@ -200,14 +200,14 @@ def table(records: int, seed: int) -> None:
         rng = np.random.default_rng([seed + 1, record])
         tone = 5e-3 * np.sin(np.pi / 2 * np.arange(2732) + rng.uniform(0, 6))
         try:
-            said = ", ".join(
+            outcome = ", ".join(
                 sorted(
                     {f.code for f in report(1.5e-4 * rng.standard_normal(2732) + tone, rate=40.0).findings}
                 )
             )
-        except Exception as error:  # noqa: BLE001 - the first version's end is the figure
-            said = f"{type(error).__name__}: {error}"
-        print(f"| tone at rate/4 | | {said} |", flush=True)
+        except Exception as error:  # noqa: BLE001 - the error is the result
+            outcome = f"{type(error).__name__}: {error}"
+        print(f"| tone at rate/4 | | {outcome} |", flush=True)
 
 
 def _counted(kinds: dict[str, Draw], records: int, n: int, seed: int) -> None:
@@ -222,21 +222,21 @@ def _counted(kinds: dict[str, Draw], records: int, n: int, seed: int) -> None:
 
 
 def clean(records: int, seed: int) -> None:
-    """Print how often each finding is made of records that hold noise of the model's kinds alone."""
+    """Print how often each finding occurs in clean noise of the model's kinds."""
     kinds: dict[str, Draw] = {text: partial(noise, text) for text in CLEAN}
     for n in (20_000, N_SHORT):
         _counted(kinds, records, n, seed)
 
 
 def filters(records: int, seed: int) -> None:
-    """Print how often a clean record behind a filter is said to hold a line, or is doubted."""
+    """Print how often a line or a misfit is reported in clean records behind a filter."""
     _counted(FILTERS, records, N_SHORT, seed)
 
 
 def cycles(records: int, seed: int) -> None:
-    """Print how often a cycle of 7e-5 over 150 to 900 s is named, and K held beside it.
+    """Print how often a cycle of 7e-5 over 150 to 900 s is found, and K covered.
 
-    And how often a cycle is found in ten times as many clean records.
+    It also prints how often a cycle is found in ten times as many clean records.
     """
     time_s = np.arange(N_SHORT) / RATE
     for number, text in enumerate(BESIDE_A_CYCLE):
@@ -266,7 +266,7 @@ def _neighbours() -> Iterator[int]:
 
 
 def lengths(_: int, seed: int) -> None:
-    """Print the CPU of the analysis of one axis; least of three."""
+    """Print the CPU time of the analysis of one axis; best of three."""
     samples = noise(QUIET, 2_200_000, np.random.default_rng(seed))
     report(samples[:20_000])
     for n in _neighbours():

@@ -1,10 +1,10 @@
-"""Whether drifts come out as predicted: drawn coasts beside the command's numbers, and coverage of limits.
+"""Accuracy of predicted drifts: simulated coasts compared with the command, and coverage of limits.
 
     python -m tests.benchmarks.drift [--coasts 8000] [--records 48] [--seed 911] [--only coasts|limits]
 
-First table: rms of drawn coasts, after a rest of 60 s, over what `imucal drift` prints for the model that
-they were drawn from. Second table: of records that the default fit knows nothing of, the percentage whose
-limits hold the truth's own drift; in brackets of how many both limits are below it, and above it.
+The first table has the rms of simulated coasts after a rest of 60 s, relative to the values of `imucal drift`
+for the true model. The second table has the percentage of records with default fits whose limits cover the
+true drift; in brackets the percentages whose limits are both below it, and above it.
 """
 
 import argparse
@@ -37,24 +37,24 @@ TRUTHS = {
     "N + B + GM": "N=1e-3 + B=2e-4 + GM(sigma=4e-4, T=200)",
 }
 LENGTHS_S = {"20 min": 1200.0, "2 h": 7200.0}
-#: Coasts of one drawn record.
+#: Coasts of one simulated record.
 PARTS = 50
-#: What the command calls the first integral of a gyroscope, the second and the third.
+#: The command's names of the first, second and third integral of a gyroscope.
 QUANTITIES = ("angle", "velocity through tilt", "position through tilt")
 
 
 def drawn_rms(
     model: NoiseModel, times_s: Sequence[float], *, coasts: int, rng: np.random.Generator
 ) -> dict[str, FloatArray]:
-    """Return the rms of drawn errors, by the quantity, shape (t,): samples less their rest's mean, summed up.
+    """Return the rms of integrated errors by quantity, shape (t,): samples minus their rest's mean.
 
-    A sample is a rate that stands until the next one: its first integral runs straight, and so on.
+    A sample is a rate that is constant until the next one, so its first integral is piecewise linear.
     """
     rest, coast = round(REST_S * RATE_HZ), round(max(times_s) * RATE_HZ)
     at = [round(time * RATE_HZ) for time in times_s]
     squares: dict[str, list[FloatArray]] = {name: [] for name in QUANTITIES}
     for _ in range(coasts // PARTS):
-        # Parts of one long record: its bias has wandered long before most of them.
+        # Parts of one long record, whose bias has varied long before most of them.
         parts = model.simulate(PARTS * (rest + coast), rate_hz=RATE_HZ, rng=rng).reshape(PARTS, -1)
         rate = parts[:, rest:] - parts[:, :rest].mean(axis=1, keepdims=True)
         angle = np.pad(np.cumsum(rate, axis=1), ((0, 0), (1, 0))) / RATE_HZ
@@ -66,7 +66,7 @@ def drawn_rms(
 
 
 def printed(text: str, times_s: Sequence[float]) -> dict[str, FloatArray]:
-    """Return what the command prints of a gyroscope with this model, by the quantity, shape (t,)."""
+    """Return the command's output for a gyroscope with this model, by quantity, shape (t,)."""
     absent = {symbol: 1e-12 for symbol in ALWAYS if f"{symbol}=" not in text}
     axis = axis_report(Sensor.GYROSCOPE, "x", text, bounds=absent, rate_hz=RATE_HZ, n=100_000)
     asked = ",".join(f"{time:g}" for time in times_s)
@@ -80,7 +80,7 @@ def printed(text: str, times_s: Sequence[float]) -> dict[str, FloatArray]:
 def limits(
     text: str, length_s: float, seed: Sequence[int]
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
-    """Return the limits of the drift of a record's default fit, by the quantity, shape (t,) each."""
+    """Return the limits of the drift of a record's default fit, by quantity, shape (t,) each."""
     rng = np.random.default_rng(seed)
     samples = NoiseModel.parse(text).simulate(round(length_s * RATE_HZ), rate_hz=RATE_HZ, rng=rng)
     series = imucal.AxisSeries.from_samples(samples, rate_hz=RATE_HZ, sensor="gyroscope", axis="x")

@@ -1,10 +1,9 @@
-"""What imucal says to slips that a new user makes: each is typed, and what it said is printed.
+"""Messages of imucal about common mistakes of new users: each command is run and its output printed.
 
     python tests/benchmarks/first_slips.py
     python tests/benchmarks/first_slips.py --python OTHER/bin/python --path OTHER
 
-The second form types the same with another version of the package. With `--short` only exit codes and first
-lines are printed.
+The second form uses another version of the package. `--short` only prints exit codes and first lines.
 """
 
 import argparse
@@ -105,14 +104,14 @@ def list_of_imus(path: Path) -> None:
 
 
 def zeroed_definitions(path: Path) -> None:
-    """Write a ULog on which its package seeks back for ever."""
+    """Write a ULog that makes its package seek back endlessly."""
     data = bytearray(two_sensors(path).read_bytes())
     data[296:596] = bytes(300)
     path.write_bytes(data)
 
 
 def damaged_parquet(path: Path) -> None:
-    """Write a table whose pages claim what they do not hold."""
+    """Write a table whose page headers are wrong."""
     columns = {f"gyro_{axis}_rads": GYRO[:, i] for i, axis in enumerate("xyz")}
     pl.DataFrame({"time_s": 0.01 * np.arange(N), **columns}).write_parquet(path)
     data = bytearray(path.read_bytes())
@@ -128,7 +127,7 @@ def in_folder(writer: Callable[[Path], Path]) -> Callable[[Path], object]:
     return write
 
 
-#: File -> what writes it.
+#: File -> function that writes it.
 FILES: dict[str, Callable[[Path], object]] = {
     "t100.csv": text(rows(f"time,{UNITS}", [100 * i for i in range(N)], *VALUES)),
     "bench.csv": text(rows(f"t,{UNITS}", [f"{2e-5 * i:.6f}" for i in range(N)], *VALUES)),
@@ -161,7 +160,7 @@ FILES: dict[str, Callable[[Path], object]] = {
     "damaged.parquet": damaged_parquet,
 }
 
-#: Point, and what is typed.
+#: Topic, and command.
 SLIPS = (
     ("time", "adev t100.csv"),
     ("time", "adev t100.csv --time-unit ms"),
@@ -230,8 +229,8 @@ def main() -> None:
             except subprocess.TimeoutExpired:
                 print("   no answer after 60 s")
                 continue
-            said = (done.stdout if typed.startswith("info") else done.stderr).strip()
-            lines = said.splitlines()
+            output = (done.stdout if typed.startswith("info") else done.stderr).strip()
+            lines = output.splitlines()
             for line in lines[:1] if asked.short else lines[:14]:
                 print(f"   {line}")
             print(f"   exit code {done.returncode}")

@@ -1,8 +1,8 @@
-"""False alarms of the tests of several logs of one unit, over a whole fleet as its report judges them.
+"""False alarms of the tests of several logs of one unit, for a complete fleet as in its report.
 
-``python -m tests.benchmarks.fleet_alarms --fleets 100 --seed 8803`` prints a Markdown table: in how many
-fleets, whose units differ and whose logs of one unit do not, a unit is named; and how often it is found that
-one log of one unit has 30 % more N. Simulated samples of one axis, fitted from their bins.
+``python -m tests.benchmarks.fleet_alarms --fleets 100 --seed 8803`` prints a table in Markdown: the share
+of fleets with a reported unit, if units differ and logs of one unit do not; and the detection rate of one
+log of one unit with 30 % more N. Samples of one axis are simulated and fitted from their bins.
 """
 
 import argparse
@@ -27,7 +27,7 @@ FLEETS = {
 
 @dataclass(frozen=True)
 class Size:
-    """Units of a fleet, logs of a unit, samples of a log."""
+    """Units of a fleet, logs per unit, samples per log."""
 
     units: int
     logs: int
@@ -45,7 +45,7 @@ def p_values(size: Size, truth: dict[str, float], seed: Sequence[int], *, last: 
 
 
 def named(tests: list[list[float]]) -> set[int]:
-    """Return the units that a report of these tests, by unit and term, names."""
+    """Return the units that a report with these tests, by unit and term, lists."""
     judged = np.reshape(adjusted(np.ravel(tests)), (len(tests), -1))
     return set(np.flatnonzero((judged <= FALSE_SHARE).any(axis=1)).tolist())
 

@@ -38,13 +38,15 @@ def main() -> None:
                     shutil.rmtree(path)
             begun = time.monotonic()
             try:
-                said = fault(bench)
-            except Exception as error:  # noqa: BLE001 - the table says which, and goes on
+                outcome = fault(bench)
+            except Exception as error:  # noqa: BLE001 - the table contains the error, and the others run
                 failed += 1
                 line = traceback.extract_tb(error.__traceback__)[-1]
-                said = f"FAILED in {line.name}:{line.lineno} {line.line}: {type(error).__name__}: {error}"
+                outcome = f"FAILED in {line.name}:{line.lineno} {line.line}: {type(error).__name__}: {error}"
             seconds = time.monotonic() - begun
-            print(f"{fault.__name__:42} {seconds:6.1f} s, load {os.getloadavg()[0]:.1f}  {said}", flush=True)
+            print(
+                f"{fault.__name__:42} {seconds:6.1f} s, load {os.getloadavg()[0]:.1f}  {outcome}", flush=True
+            )
     sys.exit(bool(failed))
 
 

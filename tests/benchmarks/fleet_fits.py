@@ -1,12 +1,12 @@
-"""Coverage of a fleet's numbers through real fits: records simulated, binned, fitted, and pooled.
+"""Coverage of a fleet's numbers with real fits: records are simulated, binned, fitted, and pooled.
 
     python -m tests.benchmarks.fleet_fits --fleets 100 --seed 7301
 
-Each row is a term of a kind of fleet: every unit has coefficients of its own, ``tau`` about the truth that is
-named, every log is a record of so many samples at 100 Hz. ``told by`` is the square of the truth over the
-standard deviation of one log's. Bias of the median is of the fleets that tell it, in %; covers are
-in %, bounds counted as intervals from zero; ``error`` is the scatter of the medians over their mean
-interval's (1.96 deviations to each side).
+Each row is a term of a kind of fleet: every unit has its own coefficients, with a spread of ``tau`` about
+the truth, and every log is a record at 100 Hz. ``told by`` is the squared truth divided by the standard
+error of one log's square. The bias of the median, in %, is over the fleets that detect it. Coverage is in %,
+with bounds as intervals from zero. ``error`` is the scatter of the medians divided by their mean interval
+(1.96 standard errors to each side).
 """
 
 import argparse
@@ -26,7 +26,7 @@ from tests.fleet.records import RATE, quick_fit
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of fleet: coefficients of its median unit in SI, and how many records of which length."""
+    """A kind of fleet: coefficients of its median unit in SI, and number and length of records."""
 
     truth: dict[str, float]
     samples: int
@@ -36,7 +36,7 @@ class Kind:
 
     @property
     def title(self) -> str:
-        """How a row names it."""
+        """Title of a row."""
         terms = " + ".join(f"{key} {value:g}" for key, value in self.truth.items())
         return f"{terms}; {self.units}×{self.logs} of {self.samples}, {self.tau:g}"
 
@@ -55,7 +55,7 @@ KINDS = (
 
 
 def simulate(kind: Kind, seed: Sequence[int]) -> dict[str, list[LogValue]]:
-    """Return what each log of one fleet says of each term."""
+    """Return the values of each term for each log of one fleet."""
     rng = np.random.default_rng(seed)
     found: dict[str, list[LogValue]] = {}
     for unit in range(kind.units):
@@ -69,18 +69,18 @@ def simulate(kind: Kind, seed: Sequence[int]) -> dict[str, list[LogValue]]:
 
 
 def outcome(found: Population, logs: Sequence[LogValue], truth: float, tau: float) -> list[float]:
-    """Return what one fleet adds to the row of a term."""
+    """Return the contribution of one fleet to the row of a term."""
     bound = truth * math.exp(float(ndtri(0.95)) * tau)
-    told = bool(truth) and not found.bounded
-    spread = found.spread if told else None
+    detected = bool(truth) and not found.bounded
+    spread = found.spread if detected else None
     errors = [(log.variance_sd or math.nan) + log.variance_growth * truth**2 for log in logs]
     return [
         truth**2 / float(np.mean(errors)),
         found.bounded,
-        math.log(found.median.value / truth) if told else math.nan,
+        math.log(found.median.value / truth) if detected else math.nan,
         found.median.low <= truth <= found.median.high,
         math.log(found.median.high / found.median.low) / (2 * float(ndtri(0.975)))
-        if told and found.median.low
+        if detected and found.median.low
         else math.nan,
         spread.low <= tau <= spread.high if spread else math.nan,
         (found.tolerance or 0.0) >= bound,
@@ -90,7 +90,7 @@ def outcome(found: Population, logs: Sequence[LogValue], truth: float, tau: floa
 
 
 def one_fleet(task: tuple[int, int, int]) -> dict[str, list[float]]:
-    """Return the outcome of each term of one fleet, from the place of its kind and the seed."""
+    """Return the outcome of each term of one fleet, from the index of its kind and the seed."""
     place, seed, number = task
     kind = KINDS[place]
     logs = simulate(kind, [seed, place, number])
@@ -126,11 +126,11 @@ def main() -> None:
 
 def print_row(kind: Kind, term: str, table: np.ndarray) -> None:
     """Print a row of the table."""
-    told = table[~np.isnan(table[:, 2])]
-    many = len(told) > 1
-    bias = f"{100 * np.mean(told[:, 2]):+.1f}" if many else "–"
-    error = f"{np.std(told[:, 2], ddof=1) / np.nanmean(told[:, 4]):.2f}" if many else "–"
-    tau = f"{100 * np.nanmean(told[:, 5]):.0f}" if many else "–"
+    detected = table[~np.isnan(table[:, 2])]
+    many = len(detected) > 1
+    bias = f"{100 * np.mean(detected[:, 2]):+.1f}" if many else "–"
+    error = f"{np.std(detected[:, 2], ddof=1) / np.nanmean(detected[:, 4]):.2f}" if many else "–"
+    tau = f"{100 * np.nanmean(detected[:, 5]):.0f}" if many else "–"
     share = 100 * table.mean(axis=0)
     far = f", {np.median(table[:, 7]):.2f}" if kind.truth.get(term) else ""
     print(

@@ -1,7 +1,7 @@
 """Damage in the files of a fleet: ``python -m tests.benchmarks.fleet_flips [--number N] [--seed S]``.
 
-Changes one bit, or 64 bytes, of one file of a copy of a fleet, asks a command of it, and prints how often
-that did not end with exit code 5 and the name of the file.
+It changes one bit or 64 bytes of a file in a copy of a fleet, runs a command, and prints how often the
+command did not exit with code 5 and the name of the file.
 """
 
 import argparse
@@ -15,7 +15,7 @@ from tests.fleet_run.damage import damages
 
 
 def main() -> None:
-    """Print the table; end with 1 where a damage was silent."""
+    """Print the table; exit with 1 if a damage was not reported."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--number", type=int, default=300)
     parser.add_argument("--seed", type=int, default=8402)
@@ -35,7 +35,7 @@ def main() -> None:
     print(f"{len(found)} damages: {', '.join(f'{table} {n}' for table, n in sorted(tables.items()))}")
     print(f"silent: {len(silent)}")
     for damage in silent:
-        print(f"  {damage.file}, {damage.what}, {damage.command}: {damage.said}")
+        print(f"  {damage.file}, {damage.what}, {damage.command}: {damage.output}")
     sys.exit(bool(silent))
 
 

@@ -1,7 +1,7 @@
-"""Labs of 40 units through the real commands: ``python -m tests.benchmarks.fleet_labs [--seed 9301]``.
+"""Labs of 40 units with the real commands: ``python -m tests.benchmarks.fleet_labs [--seed 9301]``.
 
-Simulated logs of two temperatures a unit are fitted by ``imucal fleet run``, and ``fleet.json`` is held
-against the truth: is the odd unit named and no other, does each median hold, and does each 95/95 bound lie
+Simulated logs at two temperatures per unit are fitted by ``imucal fleet run``, and ``fleet.json`` is
+compared with the truth: only the odd unit is reported, each median is covered, and each 95/95 bound is
 above 95 % of all units.
 """
 
@@ -24,15 +24,15 @@ from imucal.units import G0
 #: Median N, B, K of a sensor, in SI; relative spread between units.
 MEDIANS = {"gyroscope": (1e-4, 1e-4, 1e-4), "accelerometer": (1e-3, 1e-3, 1e-3)}
 TAU = 0.15
-#: The odd unit has so many times the N of one axis: 6.1 deviations, which a test of 720 values that holds the
-#: false discovery rate finds in 99 of 100 labs; twice the N, 4.6 deviations, in 60.
+#: Factor on N of one axis of the odd unit: 6.1 deviations. A test of 720 values with a limited false
+#: discovery rate finds it in 99 of 100 labs; a factor of 2 (4.6 deviations) in 60.
 ODD_FACTOR = 2.5
 RATE = 100.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
-    """What one lab's report is worth: counts, and of how many."""
+    """Results of one lab's report: counts and totals."""
 
     named: bool
     false_names: int
@@ -62,13 +62,13 @@ def make_lab(folder: Path, *, units: int, seconds: float, seed: int) -> str:
 
 
 def _samples(coefficients: Any, n: int, rng: np.random.Generator) -> Any:  # noqa: ANN401 - arrays
-    """Return the samples of three axes, (n, 3), of their N, B and K, (axes, terms)."""
+    """Return the samples of three axes, (n, 3), from their N, B and K, (axes, terms)."""
     models = [NoiseModel.parse(f"N={n_!r} + B={b!r} + K={k!r}") for n_, b, k in coefficients.tolist()]
     return np.column_stack([model.simulate(n, rate_hz=RATE, rng=rng) for model in models])
 
 
 def judged(document: dict[str, Any], odd: str) -> Found:
-    """Hold a lab's ``fleet.json`` against what was made."""
+    """Return the comparison of a lab's ``fleet.json`` with the truth."""
     (model,) = document["models"]
     named = {unit["unit"] for term in model["terms"] for unit in term["units"] if unit["odd_overall"]}
     medians = bounds = 0
@@ -87,7 +87,7 @@ def judged(document: dict[str, Any], odd: str) -> Found:
 
 
 def main() -> None:
-    """Print a row a lab, and what they come to."""
+    """Print a row per lab, and totals."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--labs", type=int, default=3)
     parser.add_argument("--units", type=int, default=40)

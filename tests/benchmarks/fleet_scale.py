@@ -1,9 +1,9 @@
-"""What reading a large fleet costs: ``python -m tests.benchmarks.fleet_scale [--units 100] [--warm]``.
+"""Cost of loading a large fleet: ``python -m tests.benchmarks.fleet_scale [--units 100] [--warm]``.
 
-Fits a few records, and makes of them the store of many units with three logs each, of six axes. Then it
-prints CPU, time and memory of `imucal.load_fleet`, in a process of its own each time: at first, where all
-answers are missing, and as they stand in the store. With ``--warm`` the answers are those of one unit and of
-eight units, put under all questions, so that a large fleet need not be worked out once.
+It fits a few records and writes a store of many units with three logs of six axes each. It then prints CPU,
+time and memory of `imucal.load_fleet` in separate processes: first without stored answers, then with them.
+``--warm`` stores the answers of one unit and of eight units for all questions, so that the answers of a
+large fleet need not be computed.
 """
 
 import argparse
@@ -26,12 +26,12 @@ from imucal.fleet.store import MANIFEST, OF_VALUE, FleetStore
 from imucal.fleet_report import answers
 
 AXES = [(sensor, axis) for sensor in ("gyroscope", "accelerometer") for axis in "xyz"]
-#: Fits that the store's logs are drawn from, and logs of a part.
+#: Fits from which the store's logs are drawn, and logs per part.
 FITS, BATCH = 36, 24
 
 
 def make_store(folder: Path, *, units: int, seed: int) -> FleetStore:
-    """Write the store of a fleet, three logs a unit, at three temperatures."""
+    """Write the store of a fleet with three logs per unit, at three temperatures."""
     rng = np.random.default_rng(seed)
     fits = []
     for _ in range(FITS):
@@ -52,8 +52,8 @@ def make_store(folder: Path, *, units: int, seed: int) -> FleetStore:
                 where = {"key": log["key"], "sensor": sensor, "axis": axis}
                 bins.append({**where, "bins": packed})
                 for term, value in values.items():
-                    told = {name: getattr(value, name) for name in OF_VALUE}
-                    results.append({**where, "term": term, "unit_si": "1", **told})
+                    labels_of_log = {name: getattr(value, name) for name in OF_VALUE}
+                    results.append({**where, "term": term, "unit_si": "1", **labels_of_log})
         store.commit(logs[first : first + BATCH], results, bins)
     store.add_to_manifest(
         pl.DataFrame([[log.get(name) for name in MANIFEST] for log in logs], schema=MANIFEST, orient="row")
@@ -65,19 +65,19 @@ def _log(number: int, celsius: float) -> dict[str, Any]:
     unit = f"u{number:05}"
     key = f"{unit}-{celsius:g}"
     labels = {"model": "ACME-6", "unit": unit, "temperature_c": celsius, "started": "2026-03-01"}
-    told = {"status": "ok", "verdict": "good", "findings": [], "seconds": 40.0, "rate_hz": 100.0}
+    labels_of_log = {"status": "ok", "verdict": "good", "findings": [], "seconds": 40.0, "rate_hz": 100.0}
     return {
         "key": key,
         "content": key,
         "path": f"logs/{unit}/{celsius:g}.mcap",
         "finished": 1.0,
         **labels,
-        **told,
+        **labels_of_log,
     }
 
 
 def answer_by_one(store: FleetStore) -> None:
-    """Put one unit's answers under every unit's questions, and those of eight units under every term's."""
+    """Store one unit's answers for every unit's questions, and those of eight units for every term's."""
     known: dict[str, Any] = {}
 
     def ask(questions: Any) -> list[str]:  # noqa: ANN401 - a list of questions
@@ -87,13 +87,13 @@ def answer_by_one(store: FleetStore) -> None:
             if kind not in known:
                 small = one if kind == "UnitQuestion" else _of_few(one)
                 known[kind] = asdict(small.answer())
-            said = known[kind]
+            entry = known[kind]
             if kind == "TermQuestion":
                 every = dict.fromkeys(one.logs.rows["unit"])
-                few = said["population"]["units"]
+                few = entry["population"]["units"]
                 units = [{**few[i % len(few)], "unit": unit} for i, unit in enumerate(every)]
-                said = {**said, "population": {**said["population"], "units": units}}
-            texts.append(json.dumps(said))
+                entry = {**entry, "population": {**entry["population"], "units": units}}
+            texts.append(json.dumps(entry))
         return texts
 
     imucal.load_fleet(store.folder, ask=ask)
@@ -105,7 +105,7 @@ def _of_few(question: answers.TermQuestion) -> answers.TermQuestion:
 
 
 def load(folder: Path) -> None:
-    """Print what loading a fleet takes; in a process of its own."""
+    """Print the cost of loading a fleet; runs in a separate process."""
     begun, wall = time.process_time(), time.perf_counter()
     fleet = imucal.load_fleet(folder)
     used, children = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
@@ -118,7 +118,7 @@ def load(folder: Path) -> None:
 
 
 def main() -> None:
-    """Make the fleet, and load it twice."""
+    """Write the fleet and load it twice."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--units", type=int, default=100)
     parser.add_argument("--warm", action="store_true")

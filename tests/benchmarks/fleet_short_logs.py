@@ -1,9 +1,9 @@
-"""Many real logs of 10 s through ``imucal fleet run``: ``python -m tests.benchmarks.fleet_short_logs``.
+"""Many real logs of 10 s with ``imucal fleet run``: ``python -m tests.benchmarks.fleet_short_logs``.
 
-Each log is a stretch of the two runs of an ADIS16405 at rest in the folder that IMUCAL_REAL_DATA names. They
-begin so far apart that all fit in, for 5000 logs 4 s: neighbours share samples, so that statistics of the
-fleet say nothing, but each log is one of its own. Every ten are called a unit. Prints CPU, time, memory, and
-what became of the logs.
+Each log is a part of two runs of an ADIS16405 at rest in the folder IMUCAL_REAL_DATA. Their starts are
+spread so that all fit, 4 s apart for 5000 logs. Neighbours share samples, so statistics of the fleet are
+meaningless, but each log is different. Ten logs form a unit. It prints CPU, time, memory, and the outcome of
+the logs.
 """
 
 import argparse
@@ -26,7 +26,7 @@ RATE, SECONDS, OF_A_UNIT = 100, 10, 10
 
 
 def make_logs(folder: Path, logs: int) -> None:
-    """Write the logs as NPZ, in a folder a unit."""
+    """Write the logs as NPZ, in one folder per unit."""
     runs: dict[int, dict[str, list[np.ndarray]]] = {}
     for name, run, series in real_axes():
         runs.setdefault(run, {}).setdefault(name.partition("_")[0], []).append(series.samples)
@@ -45,7 +45,7 @@ def make_logs(folder: Path, logs: int) -> None:
 
 
 def main() -> None:
-    """Make the logs, run them, load the fleet again, and print the tables."""
+    """Write the logs, run them, load the fleet again, and print the tables."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--logs", type=int, default=5000)
     parser.add_argument("--jobs", default="1")
@@ -55,8 +55,8 @@ def main() -> None:
         make_logs(folder / "logs", asked.logs)
         command = [sys.executable, "-m", "imucal", "fleet", "run", "logs", "--jobs", asked.jobs]
         for what in ([*command, "--labels", "{unit}/*.npz"], [*command, "--labels", "{unit}/*.npz"]):
-            told = _run(what, folder)
-            print(told, flush=True)
+            table = _run(what, folder)
+            print(table, flush=True)
         document = json.loads((folder / "fleet" / "fleet.json").read_text(encoding="utf-8"))
         print(json.dumps(document.get("counts", {}), indent=1))
         size = sum(path.stat().st_size for path in (folder / "fleet").rglob("*.parquet"))
@@ -64,7 +64,7 @@ def main() -> None:
 
 
 def _run(command: list[str], folder: Path) -> str:
-    """Run a command to its end; return CPU, time, memory and what it printed."""
+    """Run a command to its end; return CPU, time, memory and its output."""
     begun, before, most, alone = time.perf_counter(), cpu_of_children(), 0, 0
     with subprocess.Popen(  # noqa: S603 - this very imucal
         command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
@@ -78,11 +78,11 @@ def _run(command: list[str], folder: Path) -> str:
                 continue
             most, alone = max(most, sum(memory)), max(alone, memory[0])
             time.sleep(0.5)
-        said = process.stdout.read() if process.stdout else ""
+        output = process.stdout.read() if process.stdout else ""
     used = cpu_of_children() - before
     return (
         f"exit {process.returncode}, {used:.1f} s of CPU, {time.perf_counter() - begun:.1f} s, the command "
-        f"{alone / 1e6:.0f} MB, all processes {most / 1e6:.0f} MB\n{said}"
+        f"{alone / 1e6:.0f} MB, all processes {most / 1e6:.0f} MB\n{output}"
     )
 
 

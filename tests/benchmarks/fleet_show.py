@@ -1,8 +1,8 @@
 """A fleet from its logs to its page: ``python -m tests.benchmarks.fleet_show [FOLDER] [--logs 200]``.
 
-Simulated logs of three sensor models (broken ones and copies among them, one odd unit) are
-done on two workers by the real commands; what these say is held against what was made. The folder is kept
-where it is named, to look at its page and pictures.
+Simulated logs of three sensor models (with broken ones, copies and one odd unit) are processed on two
+workers by the real commands, and the output is compared with the truth. A given folder is kept, to inspect
+its page and pictures.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from pathlib import Path
 from tests.fleet.simulated_fleet import ODD, MadeLog, make_fleet
 
 LABELS = ("--labels", "{model}/{unit}/{temperature_c}C/*.npz")
-#: What is wrong with a log -> how it may end: status, or verdict of one that is analysed.
+#: Fault of a log -> its possible outcomes: status, or verdict of an analysed log.
 MAY_END = {
     "": {"good", "look"},
     "cut": {"unreadable"},
@@ -32,13 +32,13 @@ MAY_END = {
 
 
 class Show:
-    """The working folder, and the commands typed there."""
+    """The working folder, and the commands that are run in it."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.wrong = folder, 0
 
     def type(self, *arguments: str, code: int) -> subprocess.CompletedProcess[str]:
-        """Run a command, print what it took, and hold its exit code against the expected one."""
+        """Run a command, print its cost, and compare its exit code with the expected one."""
         begun, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
         command = [sys.executable, "-m", "imucal", *arguments]
         done = subprocess.run(command, cwd=self.folder, capture_output=True, text=True, check=False)  # noqa: S603
@@ -53,34 +53,34 @@ class Show:
         return done
 
     def hold(self, what: str, held: bool, otherwise: object = "") -> None:  # noqa: FBT001 - a statement
-        """Print what does not hold, and count it."""
+        """Print and count a failed expectation."""
         if not held:
             self.wrong += 1
             print(f"  WRONG: not {what}: {otherwise}", flush=True)
 
 
-def told(text: str, lines: int) -> None:
-    """Print the first lines of what a command said."""
+def print_lines(text: str, lines: int) -> None:
+    """Print the first lines of a command's output."""
     print("".join(f"  {line}\n" for line in text.splitlines()[:lines]), end="", flush=True)
 
 
 def show(folder: Path, *, logs: int, seconds: float, axes: int) -> int:
-    """Go through all commands; return how many things were not as they should be."""
+    """Run all commands; return the number of failed expectations."""
     made = make_fleet(folder / "logs", logs=logs, seconds=seconds, axes=axes)
     print(f"{logs} logs of {seconds:g} s; broken: {dict(Counter(log.broken for log in made if log.broken))}")
     scene = Show(folder)
     dry = scene.type("fleet", "run", "logs", *LABELS, "--dry-run", code=0)
     scene.hold("every log in the plan", len(dry.stdout.splitlines()) == logs, dry.stdout)
     scene.hold("nothing written", not (folder / "fleet").exists())
-    told(dry.stderr, 1)
+    print_lines(dry.stderr, 1)
 
     run = scene.type("fleet", "run", "logs", *LABELS, "--jobs", "2", "--max-failed", "10%", code=0)
-    told(run.stdout + run.stderr, 40)
+    print_lines(run.stdout + run.stderr, 40)
     status = scene.type("fleet", "status", "fleet", "--json", code=0)
     _hold_ends(scene, made, json.loads(status.stdout))
 
     report = scene.type("fleet", "report", "fleet", code=0)
-    told(report.stdout, 20)
+    print_lines(report.stdout, 20)
     summary = run.stderr.strip().splitlines()[-1]
     odd = re.search("odd unit ([^.]*)", summary, re.IGNORECASE)
     scene.hold("the odd unit named", bool(odd) and ODD[1] in str(odd and odd[1]), summary)
@@ -89,12 +89,12 @@ def show(folder: Path, *, logs: int, seconds: float, axes: int) -> int:
     scene.hold("nothing to do", again.stderr.startswith("0 logs to do"), again.stderr)
     scene.hold("the same said", again.stdout == run.stdout, again.stdout)
     strict = scene.type("fleet", "run", "-o", "fleet", "--max-failed", "1%", code=4)
-    told(strict.stderr[strict.stderr.rfind("Error") :], 1)
+    print_lines(strict.stderr[strict.stderr.rfind("Error") :], 1)
     return scene.wrong
 
 
 def _hold_ends(scene: Show, made: list[MadeLog], status: dict[str, object]) -> None:
-    """Hold how each log ended against what was wrong with it."""
+    """Compare the outcome of each log with its fault."""
     from imucal.fleet.store import FleetStore
 
     done = FleetStore(scene.folder / "fleet").logs()
@@ -116,7 +116,7 @@ def _hold_ends(scene: Show, made: list[MadeLog], status: dict[str, object]) -> N
 
 
 def main() -> None:
-    """Print the run; end with 1 where something was not as it should be."""
+    """Print the run; exit with 1 if an expectation failed."""
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", nargs="?", type=Path)
     parser.add_argument("--logs", type=int, default=200)

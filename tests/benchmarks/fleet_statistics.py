@@ -2,9 +2,9 @@
 
     python tests/benchmarks/fleet_statistics.py --fleets 100 --seed 5
 
-Each row is a kind of fleet: units × logs a unit, spread between units tau, relative error of an estimate (of
-the variance for weak terms), scatter within a unit omega. Bias of the median and
-coverage are in %; ``not told`` are fleets whose median unit is only bounded.
+Each row is a kind of fleet: units × logs per unit, spread between units tau, relative error of an estimate
+(of the variance for weak terms), scatter within a unit omega. Bias of the median and coverage are in %;
+``not told`` are fleets whose median unit is only bounded.
 """
 
 import argparse
@@ -46,7 +46,7 @@ def simulate(rng: np.random.Generator, row: tuple[str, int, int, float, float, f
 
 
 def outcome(found: Population, tau: float, omega: float) -> list[float]:
-    """Return what one fleet adds to its row."""
+    """Return the contribution of one fleet to its row."""
     bound = math.exp(float(ndtri(0.95)) * tau)
     low, high = np.log(np.maximum(found.prediction or (1.0, 1.0), 1e-99)) / tau
     spread, within = found.spread, found.within
@@ -88,7 +88,7 @@ def main() -> None:
         table = np.array([outcome(population(fleet), tau, omega) for fleet in fleets], dtype=float)
         spent = 1e3 * (time.process_time() - start) / options.fleets
         with warnings.catch_warnings():
-            # A row of which no fleet tells a number.
+            # A row may have no fleet with a number.
             warnings.simplefilter("ignore", RuntimeWarning)
             mean, middle = np.nanmean(table, axis=0), np.nanmedian(table, axis=0)
         print(

@@ -1,4 +1,4 @@
-"""What each way of treating missing samples does to the Allan variance: prints a markdown table.
+"""Effect of treatments of missing samples on the Allan variance: prints a table in Markdown.
 
     python tests/benchmarks/gaps_allan.py [series]
 
@@ -53,7 +53,7 @@ def _gappy(samples: FloatArray, keep: NDArray[np.bool_]) -> AxisSeries:
 
 
 def complete_windows(samples: FloatArray, keep: NDArray[np.bool_]) -> FloatArray:
-    """Average over the windows without a loss alone."""
+    """Average over windows without a loss."""
     integral = np.concatenate([[0.0], np.cumsum(np.where(keep, samples - samples[keep].mean(), 0.0))])
     filled = np.concatenate([[0], np.cumsum(keep)])
     avar = np.full(FACTORS.size, np.nan)
@@ -66,7 +66,7 @@ def complete_windows(samples: FloatArray, keep: NDArray[np.bool_]) -> FloatArray
 
 
 def half_windows(samples: FloatArray, keep: NDArray[np.bool_]) -> FloatArray:
-    """Average over half filled windows, without taking out what the losses add."""
+    """Average over half filled windows, without the correction for losses."""
     found = window_variances(_gappy(samples, keep), FACTORS)
     return _placed(found.m, found.avar * found.inflation)
 
@@ -77,7 +77,7 @@ def windows(samples: FloatArray, keep: NDArray[np.bool_]) -> FloatArray:
 
 
 def pairs(samples: FloatArray, keep: NDArray[np.bool_]) -> FloatArray:
-    """Take D(k) from all pairs that are there, by the FFT; avar(m) = (Φ(2m) - 4 Φ(m)) / (2 m²)."""
+    """Compute D(k) from all present pairs by the FFT; avar(m) = (Φ(2m) - 4 Φ(m)) / (2 m²)."""
     from scipy.fft import irfft, rfft
 
     lags, size = 2 * int(FACTORS[-1]), 2 * samples.size
@@ -156,7 +156,7 @@ def main() -> None:
 
 
 def _cell(ratios: FloatArray) -> str:
-    """Return mean and standard deviation of each column; a dash where most series give no value."""
+    """Return mean and standard deviation of each column; a dash if most series have no value."""
     texts = []
     for column in ratios.T:
         good = column[np.isfinite(column)]

@@ -1,8 +1,8 @@
-"""The figures of the house: each room's size, circles, branches, and what one fit loads.
+"""Print the size of each package folder, import cycles, complexity, and the modules of one fit.
 
     python -m tests.benchmarks.house
 
-`tests/test_house.py` holds the limits.
+`tests/test_house.py` contains the limits.
 """
 
 import tempfile
@@ -14,7 +14,7 @@ LOG = Path(__file__).parents[2] / "sample_logs" / "consumer_mems.mcap"
 
 
 def main() -> None:
-    """Print the rooms, largest first, then one figure a line."""
+    """Print the folders, largest first, then one figure per line."""
     every = modules()
     rooms = sizes()
     total = Size(*map(sum, zip(*rooms.values(), strict=True)))

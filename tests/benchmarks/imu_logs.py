@@ -1,4 +1,4 @@
-"""Logs of `sensor_msgs/Imu` for the benchmarks of the readers: every format, with a known truth."""
+"""Logs of `sensor_msgs/Imu` with known truth in every format, for the benchmarks of the readers."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,12 +16,12 @@ START = 1_700_000_000_000_000_000
 TOPIC = "/imu/data"
 #: Bytes of a camera's picture: more than a chunk.
 PICTURE = 1 << 18
-#: Pictures of the cameras, one behind the other, after so many IMU messages.
+#: Number of camera pictures in sequence, and number of IMU messages between them.
 CAMERAS, BETWEEN = 3, 7
 
 
 def truth(n: int) -> tuple[IntArray, FloatArray]:
-    """Return stamps in ns, shape (n,), and samples, shape (n, 6), as a 16-bit sensor gives them."""
+    """Return stamps in ns, shape (n,), and samples, shape (n, 6), quantized as by a 16-bit sensor."""
     rng = np.random.default_rng(20240607)
     stamps = START + np.arange(n, dtype=np.int64) * (10**9 // RATE) + rng.normal(0, 20e3, n).astype(np.int64)
     samples = rng.normal(0, 0.01, (n, 6)) + np.array([0.003, -0.002, 0.001, 0.02, -0.05, 9.81])
@@ -137,7 +137,7 @@ def _write_db3(path: Path, n: int) -> None:
 
 
 def write_camera(path: Path, n: int) -> None:
-    """Write an MCAP file as a robot with cameras records it: most chunks hold a picture and nothing else."""
+    """Write an MCAP file like a robot with cameras: most chunks only contain a picture."""
     from mcap.writer import CompressionType, Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -159,14 +159,14 @@ def write_camera(path: Path, n: int) -> None:
 
 
 def euroc(n: int) -> tuple[IntArray, FloatArray]:
-    """Return stamps in ns, shape (n,), and samples, shape (n, 6), whose numbers take all their digits."""
+    """Return stamps in ns, shape (n,), and samples, shape (n, 6), with all digits."""
     rng = np.random.default_rng(0)
     stamps = 1_403_715_273_262_142_976 + np.arange(n) * 5_000_000
     return stamps, rng.normal(scale=0.01, size=(n, 6)) + np.array([0, 0, 0, 0, 0, 9.8])
 
 
 def write_euroc(path: Path, n: int) -> None:
-    """Write a table as the EuRoC data set has them."""
+    """Write a table like those of the EuRoC data set."""
     with path.open("w", encoding="utf-8") as file:
         file.write(EUROC)
         for stamp, row in zip(*(values.tolist() for values in euroc(n)), strict=True):

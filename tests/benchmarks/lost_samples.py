@@ -28,7 +28,7 @@ CODES = ("model-misfit", "output-filter")
 
 
 def fit_with_losses(truth: str, share: float, seed: tuple[int, ...]) -> NoiseFit:
-    """Return the fit of a record of which a share of the samples is lost, one by one."""
+    """Return the fit of a record with a share of its samples lost at random."""
     rng = np.random.default_rng(seed)
     model = NoiseModel.parse(truth)
     samples = model.simulate(SAMPLES, rate_hz=RATE_HZ, rng=rng)

@@ -1,8 +1,8 @@
-"""A plugin of pytest for the mutants: which test runs which line, and tests that end alike each time.
+"""A pytest plugin for mutants: it records the lines of each test and makes tests deterministic.
 
-With `IMUCAL_LINES` naming a folder, each process writes there what its tests ran and how long they
-took. Without it, the plugin only sees to it that Hypothesis draws the same examples each time, and that
-a broken line can not take all memory, nor more than `IMUCAL_SECONDS` of the processor.
+If `IMUCAL_LINES` names a folder, each process writes the lines and durations of its tests there. Otherwise
+the plugin only fixes the examples of Hypothesis and limits memory and, by `IMUCAL_SECONDS`, CPU time of
+mutants.
 """
 
 import json
@@ -33,7 +33,7 @@ _slow: list[str] = []
 
 
 def pytest_configure() -> None:
-    """Fix what chance decides; begin to record."""
+    """Remove randomness, and start recording."""
     from hypothesis import Phase, settings
 
     phases = (Phase.explicit, Phase.generate)
@@ -46,7 +46,7 @@ def pytest_configure() -> None:
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Limit the memory, but not that of a browser, which reserves far more than it uses."""
+    """Limit the memory, except that of a browser, which reserves far more than it uses."""
     if not (_RECORDER or any(map(_has_browser, session.items))):
         resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
 
@@ -70,14 +70,14 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """Keep how long a test took, and whether it failed."""
+    """Store the duration and the failure of a test."""
     _seconds[report.nodeid] = _seconds.get(report.nodeid, 0.0) + report.duration
     if report.failed:
         _failed.add(report.nodeid)
 
 
 def pytest_sessionfinish() -> None:
-    """Write what this process saw; the one that only hands out tests saw nothing."""
+    """Write the record of this process; the process that distributes tests has none."""
     if _RECORDER:
         _RECORDER.stop()
     if _RECORDER and _FOLDER and _ran:

@@ -1,10 +1,9 @@
-"""Which tests may notice a broken line: those that run it, or what it gives a value to, the nearest first.
+"""Tests that may detect a mutant: those that run its line or depend on its value, the nearest first.
 
-What stands in a function is judged by the tests that run its line. What Python runs but once, at import,
-is judged by the tests that run what depends on it: the lines that use a constant's or a field's name,
-the body of the function of a default. The module's own file of tests
-goes first; of the others one of each function before the second of any, those of its folder before those
-of other folders, the quickest first.
+A mutant in a function is tested by the tests that run its line. Code that only runs at import is tested by
+the tests that run dependent lines: lines with the name of a constant or field, or the body of the function
+of a default. The module's own test file comes first; then one test of each function before the second of
+any, tests of the same folder before other folders, and fast tests before slow ones.
 """
 
 import ast
@@ -18,13 +17,13 @@ from pathlib import Path, PurePosixPath
 from tests.benchmarks.mutation_points import Mutation
 
 _Function = ast.FunctionDef | ast.AsyncFunctionDef
-#: Where a name is used: file and line.
+#: Use of a name: file and line.
 _Place = tuple[str, int]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Suite:
-    """What the suite does when nothing is broken.
+    """Tests, lines and durations of the suite without mutants.
 
     Attributes
     ----------
@@ -33,7 +32,7 @@ class Suite:
     lines
         File -> line -> tests that run it.
     seconds
-        Test -> how long it took, while it was recorded.
+        Test -> duration while it was recorded.
     slow
         Tests with the marker `slow`.
     """
@@ -44,7 +43,7 @@ class Suite:
     slow: frozenset[str]
 
     def tests_of(self, path: str, mutation: Mutation) -> tuple[list[str], bool]:
-        """Return the tests that may notice, in their order, and whether any runs what is broken.
+        """Return the tests that may detect a mutant, in order, and whether any runs the mutated code.
 
         If none does, they are all tests that use the module.
         """
@@ -68,7 +67,7 @@ class Suite:
 
 
 def _distance(test: str, path: str) -> int:
-    """Return how many folders lie between a test and a module of the package; -1 for its own tests."""
+    """Return the number of folders between a test and a module of the package; -1 for its own tests."""
     file = PurePosixPath(test.partition("::")[0])
     module = PurePosixPath(path)
     if f"{file.stem}_".startswith(f"test_{module.stem}_"):
@@ -79,7 +78,7 @@ def _distance(test: str, path: str) -> int:
 
 
 def _judged_at(root: Path, path: str, mutation: Mutation) -> set[_Place]:
-    """Return the lines whose tests may notice a mutant."""
+    """Return the lines whose tests may detect a mutant."""
     chain = list(_around(_tree(root / path), mutation))
     inner = next((node for node in reversed(chain) if isinstance(node, _Function)), None)
     if inner and any(statement in chain for statement in inner.body):
@@ -90,7 +89,7 @@ def _judged_at(root: Path, path: str, mutation: Mutation) -> set[_Place]:
 
 
 def _around(tree: ast.Module, mutation: Mutation) -> Iterator[ast.stmt]:
-    """Return the statements that hold a line, the outermost first."""
+    """Return the statements that contain a line, the outermost first."""
     held: Iterable[ast.stmt] = tree.body
     while found := next((s for s in held if s.lineno <= mutation.line <= (s.end_lineno or s.lineno)), None):
         yield found
@@ -99,7 +98,7 @@ def _around(tree: ast.Module, mutation: Mutation) -> Iterator[ast.stmt]:
 
 
 def _users(root: Path, path: str, names: set[str]) -> set[_Place]:
-    """Return the lines that run within functions and use one of some names, or what is made of them."""
+    """Return lines within functions that use one of some names, or values derived from them."""
     places: set[_Place] = set()
     known: set[str] = set()
     while names - known:
@@ -126,7 +125,7 @@ def _tree(file: Path) -> ast.Module:
 
 @functools.cache
 def _uses(file: Path) -> dict[str, list[tuple[ast.stmt | None, int]]]:
-    """Return where each name is read: the statement that runs at import, if it does, and the line."""
+    """Return the uses of each name: the statement if it runs at import, and the line."""
     found: dict[str, list[tuple[ast.stmt | None, int]]] = {}
 
     def collect(node: ast.AST, statement: ast.stmt | None, *, once: bool) -> None:
@@ -145,7 +144,7 @@ def _uses(file: Path) -> dict[str, list[tuple[ast.stmt | None, int]]]:
 
 
 def _named(statement: ast.stmt) -> Iterator[str]:
-    """Return the names a statement gives a value to."""
+    """Return the names that a statement assigns."""
     match statement:
         case ast.Assign(targets=targets):
             yield from (p.id for target in targets for p in ast.walk(target) if isinstance(p, ast.Name))

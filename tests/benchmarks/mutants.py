@@ -1,12 +1,12 @@
-"""Do the tests notice a broken line? Breaks lines at random in a copy of the tree and runs the tests.
+"""Mutation test: change random lines in a copy of the tree and run the tests.
 
-First the whole suite runs once, in the copy, and `coverage` notes which test runs which line. Then each
-mutant meets all tests that may notice it, in the order of `mutant_tests`, until one fails: a survivor has
-met every one. A mutant that hangs or can not be imported is caught; time is that of the processor, so
-that a busy machine does not look like a hang. What is left alone is said in `mutation_points`. The record
-of the suite is kept, and found again while no file has changed.
+First, the complete suite runs once in the copy, and `coverage` records the lines of each test. Then each
+mutant meets all tests that may detect it, in the order of `mutant_tests`, until one fails; a survivor has
+met all of these tests. A mutant that hangs or cannot be imported is caught. Times are CPU times, so that a
+busy machine does not look like a hang. `mutation_points` lists the excluded code. The record of the suite
+is reused until a file changes.
 
-The tests of the marker `slow` run last, so that the result shows which mutants the default tests miss.
+Tests with the marker `slow` run last, so that the result shows the mutants that the default tests miss.
 
 Run as ``python -m tests.benchmarks.mutants [--n 100] [--seed 1] [--rooms allan fitting] [--timeout 60]``.
 """
@@ -38,28 +38,28 @@ from tests.benchmarks.mutation_points import Mutation, changes_nothing, mutated,
 
 ROOT = Path(__file__).parents[2]
 ROOMS = ("readers", "allan", "fitting", "checking", "report")
-#: What the tests need; everything else stays behind.
+#: Files and folders that the tests need.
 _COPIED = ("imucal", "tests", "sample_logs", "docs", "README.md", "CONTRIBUTING.md", "CHANGELOG.md")
 _COPIED_TOO = ("pyproject.toml", "mkdocs.yml", "LICENSE")
-#: Recorded seconds of tests a mutant meets in its first rounds; the last is of all that are left.
+#: Recorded seconds of tests in the first rounds of a mutant; the last round has all others.
 _ROUNDS = (8.0, 60.0)
-#: A process that waits for others does not take time of the processor: this many times as much is too long.
+#: A waiting process takes no CPU time, so this multiple of the limit, in wall time, is a hang.
 _PATIENCE = 6
 _OPTIONS = ("-q", "-p", "tests.benchmarks.mutant_plugin", "-p", "no:cacheprovider", "--tb=no", "--no-header")
-#: Without the options of the project: one process, and the first failure is enough.
+#: Without the project's options: one process, and the first failure is enough.
 _ALONE = ("-o", "addopts=--import-mode=importlib", "-p", "no:xdist", "-x")
-#: Exit codes of pytest that say nothing about the mutant: all passed, and there was no test.
+#: Exit codes of pytest for a survivor: all tests passed, or there was no test.
 _SURVIVED = frozenset({0, 5})
 
 
-#: What follows the name of a test that is slow.
+#: Suffix of the name of a slow test.
 _SLOW = " (slow)"
-#: What pytest printed for the last mutant of a tree.
-_SAID = "said.txt"
+#: Output of pytest for the last mutant of a tree.
+_OUTPUT = "said.txt"
 
 
 def main() -> None:
-    """Print each mutant's fate, the survivors' differences, and the share that was caught."""
+    """Print the outcome of each mutant, the survivors' differences, and the share that was caught."""
     options = _options()
     with tempfile.TemporaryDirectory(prefix="imucal-mutants-") as folder:
         copies: Queue[Path] = Queue()
@@ -105,7 +105,7 @@ def _options() -> argparse.Namespace:
 
 
 def _chosen(rooms: Iterable[str], n: int, seed: int) -> list[tuple[str, Mutation]]:
-    """Draw lines evenly over the rooms' lines that can be broken, and one change of each."""
+    """Draw lines uniformly from the mutable lines of the folders, and one change of each."""
     places: dict[tuple[str, int], list[Mutation]] = {}
     sources: dict[str, bytes] = {}
     for room in rooms:
@@ -124,7 +124,7 @@ def _chosen(rooms: Iterable[str], n: int, seed: int) -> list[tuple[str, Mutation
 
 
 def _copy(place: Path) -> Path:
-    """Copy the tree and compile it, so that only a mutant itself is compiled anew."""
+    """Copy the tree and compile it, so that only a mutant is compiled again."""
     place.mkdir()
     for name in (*_COPIED, *_COPIED_TOO):
         source = ROOT / name
@@ -137,7 +137,7 @@ def _copy(place: Path) -> Path:
 
 
 def _recorded(folder: Path, chosen: list[str]) -> Suite:
-    """Return which test runs which line, from an earlier run if no file has changed since."""
+    """Return the recorded suite, from an earlier run if no file has changed."""
     digest = hashlib.sha256("\n".join(chosen).encode())
     for file in sorted(p for name in ("imucal", "tests") for p in (ROOT / name).rglob("*") if p.is_file()):
         if "__pycache__" not in file.parts:
@@ -195,7 +195,7 @@ def _environment(tree: Path, seconds: float = math.inf) -> dict[str, str]:
     return {
         **os.environ,
         "PYTHONPATH": str(tree),
-        # Two versions of a file of one size and one second would share their compiled file.
+        # Two versions of a file with equal size and second would share their compiled file.
         "PYTHONDONTWRITEBYTECODE": "1",
         "IMUCAL_REAL_DATA": data,
         **({"IMUCAL_SECONDS": str(math.ceil(seconds))} if math.isfinite(seconds) else {}),
@@ -205,7 +205,7 @@ def _environment(tree: Path, seconds: float = math.inf) -> dict[str, str]:
 def _fate(
     tree: Path, suite: Suite, path: str, mutation: Mutation, *, timeout: float, most: float
 ) -> tuple[bool, str]:
-    """Break a line, run its tests in rounds, mend it; return whether one failed, and what to print."""
+    """Apply a mutation, run its tests in rounds and restore the file; return whether one failed, and why."""
     tests, met = suite.tests_of(path, mutation)
     began = time.monotonic()
     how = "no test runs the line" if not met else "all passed"
@@ -225,7 +225,7 @@ def _fate(
 
 
 def _rounds(tests: list[str], seconds: dict[str, float], most: float) -> Iterator[list[str]]:
-    """Split tests into rounds: a few seconds for what is near, and longer for what is not."""
+    """Split tests into rounds: a few seconds for near tests, and longer for others."""
     rest = list(tests)
     for limit in (*_ROUNDS, most):
         part: list[str] = []
@@ -256,12 +256,12 @@ def _run(tree: Path, tests: list[str], *, timeout: float) -> int | None:
     arguments.write_text("\n".join(tests), encoding="utf-8")
     place = f"--basetemp={tree.parent / (tree.name + '-pytest')}"
     command = [sys.executable, "-m", "pytest", *_OPTIONS, *_ALONE, place, f"@{arguments}"]
-    with (tree / _SAID).open("wb") as said:
+    with (tree / _OUTPUT).open("wb") as output:
         process = subprocess.Popen(  # noqa: S603 - our own tests
             command,
             cwd=tree,
             env=_environment(tree, timeout),
-            stdout=said,
+            stdout=output,
             stderr=subprocess.STDOUT,
             start_new_session=True,
         )
@@ -278,9 +278,9 @@ def _run(tree: Path, tests: list[str], *, timeout: float) -> int | None:
 
 
 def _failure(tree: Path) -> str:
-    """Return the test that noticed the last mutant, or that none could begin."""
-    said = (tree / _SAID).read_text(encoding="utf-8", errors="replace")
-    found = re.search(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
+    """Return the test that detected the last mutant, or that no test could start."""
+    output = (tree / _OUTPUT).read_text(encoding="utf-8", errors="replace")
+    found = re.search(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
     return found[1] if found else "the tests can not begin"
 
 

@@ -1,10 +1,10 @@
-"""Count what damaged logs of each format end in: samples, a message, or what should not be.
+"""Count the outcomes of damaged logs of each format: samples, errors, and undesired outcomes.
 
     python tests/benchmarks/mutation_counts.py [cases] [format ...]
 
-Each case of a format changes a log by one of four kinds of damage and reads and describes it. Prints, of each
-format: cases read, refused with a message, foreign exceptions, hangs of more than 10 s, and lines printed
-by the packages underneath.
+Each case applies one of four kinds of damage to a log, then reads and describes it. For each format the
+script prints the number of cases that were read, refused with an error, ended with a foreign exception,
+took more than 10 s, or printed lines from underlying packages.
 """
 
 import contextlib
@@ -30,7 +30,7 @@ from tests.readers.logs import CONTAINERS, samples
 from tests.readers.tables.texts import STYLES, write
 from tests.readers.ulog.test_ulog import two_sensors
 
-#: Seconds after which a case counts as one that hangs.
+#: Seconds after which a case counts as a hang.
 PATIENCE = 10
 N = 60
 
@@ -56,7 +56,7 @@ def records() -> np.ndarray[Any, Any]:
     return table
 
 
-def parquet(compression: Any) -> Callable[[Path], object]:  # noqa: ANN401 - polars' own names
+def parquet(compression: Any) -> Callable[[Path], object]:  # noqa: ANN401 - names of polars
     return lambda path: pl.DataFrame(columns()).write_parquet(path, compression=compression)
 
 
@@ -75,13 +75,13 @@ TYPED: dict[str, tuple[str, Callable[[Path], object]]] = {
 
 
 def zero_much(data: bytearray, rng: np.random.Generator) -> None:
-    """Fill a long run with zeros, as a crash of the file system does."""
+    """Fill a long run with zeros, like a crash of the file system."""
     at, size = int(rng.integers(len(data))), int(rng.integers(1, len(data) // 2))
     data[at : at + size] = bytes(min(size, len(data) - at))
 
 
 def original(name: str, folder: Path) -> tuple[str, bytes]:
-    """Return the file's name and the bytes of a log of a format."""
+    """Return the file name and the bytes of a log of a format."""
     if name in TYPED:
         file, writer = TYPED[name]
         writer(folder / file)
@@ -97,7 +97,7 @@ def original(name: str, folder: Path) -> tuple[str, bytes]:
 
 @contextlib.contextmanager
 def silenced(count: Counter[str]) -> Iterator[None]:
-    """Count the bytes that are printed past Python's own streams."""
+    """Count output that bypasses Python's own streams."""
     with tempfile.TemporaryFile() as taken:
         kept = [os.dup(1), os.dup(2)]
         sys.stdout.flush()
@@ -128,7 +128,7 @@ def outcome(action: Callable[[Path], object], path: Path, count: Counter[str], k
         count["refused"] += 1
     except Hang:
         count["hangs"] += 1
-    except BaseException as error:  # noqa: BLE001 - panics of Rust are no Exceptions
+    except BaseException as error:  # noqa: BLE001 - panics of Rust are not Exceptions
         count["foreign"] += 1
         kinds[type(error).__name__] += 1
     finally:

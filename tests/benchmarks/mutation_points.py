@@ -1,18 +1,18 @@
-"""Where a line can be broken, and how: one operator, sign, word or number replaced at its exact place.
+"""Possible mutations of a line: one operator, sign, word or number is replaced at its exact place.
 
-Left alone, because no test could or should notice:
+Excluded, because no test can or should detect them:
 
-- annotations, decorators, type aliases, ``__all__`` and what stands under ``if TYPE_CHECKING``;
-- error texts: what stands in a ``raise``, an ``assert``, an f-string, or is assigned to ``msg``;
-- numbers that tune speed: constants of a module named ``_BLOCK``, ``_PIECE``, ``_CHUNK`` and the like,
+- annotations, decorators, type aliases, ``__all__`` and code under ``if TYPE_CHECKING``;
+- error texts: in a ``raise``, an ``assert``, an f-string, or assigned to ``msg``;
+- numbers that only affect speed: module constants named ``_BLOCK``, ``_PIECE``, ``_CHUNK`` and similar,
   the arguments in `_TUNING`, and the constants in `_PATH`, each with its reason;
-- how thick or large a picture draws something: the arguments in `_LOOKS` and the constants in
-  `_LAYOUT`, for pictures are looked at, not pinned;
-- on which side of a limit such as 0.3 the limit itself falls: binary floats do not hold such a number,
-  so that chance alone reaches it. Whole numbers, halves and quarters are broken: counts do reach them;
-- the -1 of a `reshape`: any negative number stands for the side that is left;
+- sizes and line widths of pictures: the arguments in `_LOOKS` and the constants in `_LAYOUT`, because
+  pictures are inspected by eye;
+- whether a limit such as 0.3 is inclusive: binary floats cannot represent it, so equality is an accident.
+  Integers, halves and quarters are mutated, because counts can equal them;
+- the -1 of a `reshape`: every negative number means the remaining dimension;
 - guards against a division by zero: numbers below 1e-100 or above 1e100;
-- what compiles to the same bytecode.
+- changes that compile to the same bytecode.
 """
 
 import ast
@@ -46,20 +46,20 @@ _COMPUTED: dict[type[ast.operator], tuple[str, str]] = {
     ast.LShift: ("<<", ">>"),
     ast.RShift: (">>", "<<"),
 }
-#: Arguments that change how long something takes, or only guard against a mistake of the program.
+#: Arguments that only affect durations, or guard against programming errors.
 _TUNING = frozenset(
     {"maxsize", "copy", "strict", "stacklevel", "timeout", "flush", "buffering", "maxiter", "xtol", "ftol"}
     | {"gtol", "xatol", "fatol", "compression_level", "pickle", "check_finite", "overwrite_x"}
-    # How long and how closely a search goes on.
+    # Number of iterations and tolerance of a search.
     | {"iterations", "tolerance"}
 )
-#: Arguments of the drawing that a reader may notice and no test could judge.
+#: Arguments of the drawing that readers may notice but tests cannot judge.
 _LOOKS = frozenset(
     {"linewidth", "linewidths", "markersize", "zorder", "alpha", "dashes", "fontsize", "labelpad", "pad"}
     | {"dpi", "figsize", "columnspacing", "handlelength", "labelsize", "shrinkA", "shrinkB"}
 )
 _UNSEEN = _TUNING | _LOOKS
-#: Constants of the drawing that set sizes and places alone: module -> names.
+#: Constants of the drawing that only set sizes and positions: module -> names.
 _LAYOUT = {
     "figure": {"WIDTH", "_PLOT_HEIGHT", "_HEAD", "_AXIS_ROOM", "_ROW", "_LEFT", "_RIGHT"},
     "figure_parts": {"TITLE_SIZE", "LABEL_SIZE", "LEGEND_SIZE", "SMALL_SIZE"},
@@ -67,7 +67,7 @@ _LAYOUT = {
     "labels": {"_DISTANCES", "_ANGLES", "_PAD"},
     "log_ticks": {"_SIZE", "_MINOR"},
 }
-#: Constants that tune the way to a result, its time or its memory, not the result itself.
+#: Constants that affect time, memory or path of a calculation, but not its result.
 _PATH = {
     "maximum._STEP": "bounds a step of the search; its end is where the gradient vanishes",
     "maximum._GRID": "places from which a search starts that is refined later",
@@ -107,7 +107,7 @@ _SKIPPED = (ast.Raise, ast.Assert, ast.Import, ast.ImportFrom, ast.JoinedStr, as
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mutation:
-    """One change: bytes `start` to `stop` become `new`; the statement runs from line `first` to `line`."""
+    """One change: bytes `start` to `stop` become `new`; the statement covers lines `first` to `line`."""
 
     start: int
     stop: int
@@ -117,12 +117,12 @@ class Mutation:
 
 
 def mutated(source: bytes, mutation: Mutation) -> bytes:
-    """Return the source with the change made."""
+    """Return the source with the change applied."""
     return source[: mutation.start] + mutation.new.encode() + source[mutation.stop :]
 
 
 def changes_nothing(source: bytes, mutation: Mutation) -> bool:
-    """Whether the change compiles to what was there before, or does not compile."""
+    """Whether the change compiles to the same code, or does not compile."""
     try:
         changed = compile(mutated(source, mutation), "changed", "exec")
     except SyntaxError:
@@ -136,7 +136,7 @@ def _meaning(code: CodeType) -> tuple[object, ...]:
 
 
 def mutations(source: bytes, module: str = "") -> list[Mutation]:
-    """Return every change of a module, in the order of their places; `module` is its last name."""
+    """Return every change of a module, in order; `module` is its last name."""
     found = _Points(source, module).inside(ast.parse(source), first=1)
     return sorted(found, key=lambda mutation: (mutation.start, mutation.new))
 
@@ -161,7 +161,7 @@ class _Points:
             self._starts.append(self._starts[-1] + len(line))
 
     def inside(self, node: ast.AST, *, first: int) -> Iterator[Mutation]:
-        """Go through a node and what it holds; `first` is the line its statement begins at."""
+        """Yield the changes in a node and its children; `first` is the first line of its statement."""
         if isinstance(node, _SKIPPED) or _is_left_alone(node) or self._is_fixed(node):
             return
         if isinstance(node, ast.stmt):
@@ -173,7 +173,7 @@ class _Points:
             yield from self.inside(child, first=first)
 
     def _is_fixed(self, node: ast.AST) -> bool:
-        """Whether a statement gives a value to constants that are left alone."""
+        """Whether a statement only assigns excluded constants."""
         if not (self._fixed and isinstance(node, ast.Assign)):
             return False
         names = {
@@ -211,7 +211,7 @@ class _Points:
                     yield from self._between(left, right, text, new)
 
     def _is_real(self, node: ast.expr) -> bool:
-        """Whether a side of a comparison is a number that binary does not hold, or computed with one."""
+        """Whether a side of a comparison is an inexact binary number, or computed with one."""
         match node:
             case ast.Name(id=name):
                 return name in self._inexact
@@ -224,11 +224,11 @@ class _Points:
     def _between(
         self, left: ast.expr, right: ast.expr, text: str, new: str
     ) -> Iterator[tuple[int, int, str]]:
-        """Replace the operator between two operands, around which there may be brackets."""
+        """Replace the operator between two operands, which may be in brackets."""
         start, stop = self._stop(left), self._start(right)
         found = re.search(text, self._source[start:stop].decode())
         if found and b"#" not in self._source[start:stop]:
-            # Operators and what stands around them are ASCII: characters are bytes.
+            # Operators and the text around them are ASCII, so characters are bytes.
             yield start + found.start(), start + found.end(), new
 
     def _start(self, node: ast.expr) -> int:
@@ -239,7 +239,7 @@ class _Points:
 
 
 def _is_inexact(node: ast.expr) -> bool:
-    """Whether it is a fraction that a few binary digits do not hold: 0.3, and not 0.5 or 1.25."""
+    """Whether it is a fraction that a few binary digits cannot represent: 0.3, but not 0.5 or 1.25."""
     return (
         isinstance(node, ast.Constant)
         and isinstance(node.value, float)
@@ -248,7 +248,7 @@ def _is_inexact(node: ast.expr) -> bool:
 
 
 def _children(node: ast.AST) -> Iterator[ast.AST]:
-    """Return what a node holds, without types, and without values that only tune or adorn."""
+    """Return the children of a node, except types and values that only affect speed or looks."""
     match node:
         case ast.Dict():
             keys = [getattr(key, "value", None) for key in node.keys]
@@ -282,7 +282,7 @@ def _is_left_alone(node: ast.AST) -> bool:
 
 
 def _is_type_alias(node: ast.AST) -> bool:
-    """Whether a value is made of names and ``|`` alone."""
+    """Whether a value only consists of names and ``|``."""
     value = getattr(node, "value", None)
     return isinstance(value, ast.BinOp) and not any(
         isinstance(part, (ast.Constant, ast.Call))
@@ -292,7 +292,7 @@ def _is_type_alias(node: ast.AST) -> bool:
 
 
 def _other(value: float) -> str:
-    """Return another number: a truth turned round, the next whole number, twice a fraction."""
+    """Return another number: a negated truth value, the next integer, or twice a fraction."""
     if isinstance(value, bool):
         return str(not value)
     if isinstance(value, int):

@@ -1,12 +1,11 @@
-"""What real sensors and loggers do: how often intervals hold, and how often a wrong number has no warning.
+"""Pathologies of real sensors and loggers: coverage, and wrong numbers without a warning.
 
     python tests/benchmarks/pathologies.py 40 --seed 7001 [--only NAME] [--write docs/results/pathologies.md]
 
 Each case draws records with N = 1e-4 rad/s/√Hz and mostly B = 3e-5 rad/s ("NB"; "white": N only), disturbs
-them as a sensor or a logger would, and fits them with the defaults. The flicker noise comes from FFT shaping,
+them like a sensor or a logger, and fits them with the defaults. The flicker noise comes from FFT shaping,
 not from imucal. A record is silently wrong if an interval of N, B or K misses the truth (of K = 0: if its
-lower limit is above 0) without a warning or an error. Refused records have an error that names two readings.
-
+lower limit is above 0) without a warning or an error. Refused records have an error that lists two readings.
 The script uses no other module of the tests, so that it runs with other versions of the package too.
 """
 
@@ -35,7 +34,7 @@ N, B = 1e-4, 3e-5
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """Samples, their stamps if the clock is to be read, and the truth."""
+    """Samples, their stamps if a clock is estimated, and the truth."""
 
     samples: Samples
     rate_hz: float
@@ -50,7 +49,7 @@ class Record:
 
 @dataclass(kw_only=True)
 class Tally:
-    """How the records of a case ended."""
+    """Outcomes of the records of a case."""
 
     n: int = 0
     b: int = 0
@@ -99,10 +98,10 @@ def changed(
     level: bool = False,
     axes: int = 1,
 ) -> None:
-    """Add a case whose samples are changed and whose clock is right.
+    """Add a case with changed samples and a correct clock.
 
     The change multiplies slow noise by `gain`. With `level` it also changes the density of white noise at low
-    frequencies, which is what N means to whoever integrates the samples: the truth is that of a long record.
+    frequencies, which is N for an application that integrates samples: the truth is that of a long record.
     """
 
     def draw(rng: np.random.Generator) -> Record:
@@ -170,7 +169,7 @@ def stamped(
     rate_hz: float,
     n: int = 60_000,
 ) -> None:
-    """Add a case of which `stamps` returns which samples are kept, and their stamps in s."""
+    """Add a case; `stamps` returns the mask of kept samples and their stamps in s."""
 
     def draw(rng: np.random.Generator) -> Record:
         keep, times = stamps(np.arange(n) / rate_hz, rng)
@@ -310,7 +309,7 @@ CASES["13 Student's t, 3 degrees"] = lambda rng: Record(
     samples=1e-3 / np.sqrt(3) * rng.standard_t(3, 120_000), rate_hz=100.0, flicker=0.0
 )
 
-# Twenty further ones.
+# Twenty further cases.
 _T = np.arange(120_000) / 100
 changed("a tone that drifts by 1 Hz", lambda x, _: x + 1e-3 * np.sin(2 * np.pi * (20 * _T + 5e-4 * _T**2)))
 CASES["b white noise that grows by 50 %"] = lambda rng: Record(
@@ -349,7 +348,7 @@ stamped(
     rate_hz=100.0,
 )
 
-#: How to read the table.
+#: Introduction of the table.
 _ABOUT = """`tests/benchmarks/pathologies.py` wrote this table.
 "NB" has N and B, "white" has N only. A record is silently wrong if
 an interval of N, B or K misses the truth without a warning or an error. Plain noise misses now and then too,
@@ -359,7 +358,7 @@ N is the density of the delivered samples at low frequencies. If a change of the
 a dead band or interpolation, alters this density, the truth is measured on 8 million samples of white noise.
 
 """
-#: Warnings that name no cause of wrong numbers.
+#: Warnings that do not explain wrong numbers.
 _NOT_NAMED = {"model-choice", "record-length", "gaps", "gaps-in-fit"}
 
 
@@ -403,7 +402,7 @@ def run(draw: Case, rng: np.random.Generator, tally: Tally) -> None:
 
 
 def main() -> None:
-    """Print the table, and write it if asked to."""
+    """Print the table, and write it on request."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("records", type=int, nargs="?", default=40)
     parser.add_argument("--seed", type=int, default=7001)

@@ -1,11 +1,11 @@
-"""Other ways to N, B and K, on records of known truth: what each reads, how far off, and for how much CPU.
+"""Other tools that estimate N, B and K, on records of known truth: errors, coverage and CPU time.
 
     python -m tests.benchmarks.peers --records 20
 
-Prints the tables of docs/results/comparison.md in Markdown, seed 120 and up; five minutes on one core. One
-process runs everything on the same samples. The recipes of other projects are written anew from their
-sources, as `allan_variance_ros`, `imu_utils` and `kalibr_allan` say; where a solver isn't the same, the
-text says so. R's gmwm is not among them: the Debian archive has no package of it.
+It prints the tables of docs/results/comparison.md in Markdown, seed 120 and up, in five minutes on one core.
+One process runs all tools on the same samples. The recipes of `allan_variance_ros`, `imu_utils` and
+`kalibr_allan` are reimplemented from their sources; differences of the solver are documented. R's gmwm is
+omitted, because Debian has no package of it.
 """
 
 import argparse
@@ -27,13 +27,13 @@ __all__ = ["TOOLS", "TRUTHS", "Reading", "deviations", "measure"]
 
 #: Height of a flicker floor over B.
 _FLOOR = math.sqrt(2 * math.log(2) / math.pi)
-#: A coefficient that is not in the truth and is below this is no invention: N/1000.
+#: Absent coefficients below this limit, N/1000, do not count as false.
 _NOTHING = 1e-6
-#: Degrees an hour in a rad/s, as imu_utils has it.
+#: Degrees per hour in a rad/s, as defined by imu_utils.
 _DEG_H = 57.3 * 3600
 RATE_HZ = 100.0
 
-#: What was simulated, and the model of known truth.
+#: Name -> true model.
 TRUTHS = {
     "white": "N=1e-3",
     "N + K": "N=1e-3 + K=1e-4",
@@ -44,7 +44,7 @@ TRUTHS = {
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What a tool says of one record: coefficients by symbol, and intervals where it gives any."""
+    """Results of a tool for one record: coefficients by symbol, and intervals if available."""
 
     values: dict[str, float]
     intervals: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -72,7 +72,7 @@ def _line(tau: FloatArray, adev: FloatArray, slope: float, at: float, slack: flo
 
 
 def allantools_script(samples: FloatArray) -> Reading:
-    """Read as scripts do: `oadev`, lines through where the slope is nearest -1/2 and +1/2, minimum/0.664."""
+    """Estimate like scripts: `oadev`, lines where the slope is nearest -1/2 and +1/2, minimum/0.664."""
     tau, adev, _, _ = allantools.oadev(samples, rate=RATE_HZ, data_type="freq", taus="octave")
     slopes = np.diff(np.log(adev)) / np.diff(np.log(tau))
     white, walk = int(np.argmin(np.abs(slopes + 0.5))), int(np.argmin(np.abs(slopes - 0.5)))
@@ -123,7 +123,7 @@ def imu_utils(samples: FloatArray) -> Reading:
 
 
 def kalibr_allan(samples: FloatArray) -> Reading:
-    """rpng/kalibr_allan: disjoint averages at 2000 times, lines 50 points beside the minimum."""
+    """rpng/kalibr_allan: disjoint averages at 2000 times, lines 50 points away from the minimum."""
     period, longest = 1 / RATE_HZ, (len(samples) - 1) // 2
     m = np.floor(np.logspace(math.log10(period), math.log10(longest), 2000) + 1e-9)
     distinct, back = np.unique(np.maximum(m, 1), return_inverse=True)
@@ -138,7 +138,7 @@ def kalibr_allan(samples: FloatArray) -> Reading:
 
 
 def imucal_fit(samples: FloatArray) -> Reading:
-    """Fit as `imucal fit` does: the model is chosen, a term that is not shown has an upper bound."""
+    """Fit like `imucal fit`: the model is chosen, and an undetected term has an upper bound."""
     fit = imucal.fit(AxisSeries.from_samples(samples, rate_hz=RATE_HZ, sensor="gyroscope", axis="x"))
     estimates = {symbol: fit[symbol] for symbol in "NBK"}
     return Reading(
@@ -177,7 +177,7 @@ def measure(name: str, tools: dict[str, Tool], *, records: int, n: int, seed: in
 
 
 def _cell(found: list[Reading], symbol: str, true: float | None) -> str:
-    """Return mean error and spread in %, and how often there was a number; or how often it was invented."""
+    """Return mean error and spread in %, and the number of estimates; or the number of false ones."""
     values = np.array([each.values[symbol] for each in found if each.values.get(symbol, 0.0) > 0])
     if not any(symbol in each.values or symbol in each.intervals for each in found):
         return "–"
@@ -194,7 +194,7 @@ def _cell(found: list[Reading], symbol: str, true: float | None) -> str:
 
 
 def _coverage(found: list[Reading], true: dict[str, float]) -> str:
-    """Return how many intervals of N, B and K hold the truth, 0 for what isn't in the model."""
+    """Return the number of intervals of N, B and K that cover the truth, which is 0 for absent terms."""
     if not found[0].intervals:
         return "none"
     parts = []
@@ -206,7 +206,7 @@ def _coverage(found: list[Reading], true: dict[str, float]) -> str:
 
 
 def main() -> None:
-    """Print one table a truth."""
+    """Print one table per truth."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--records", type=int, default=20)
     parser.add_argument("--samples", type=int, default=200_000)

@@ -1,10 +1,10 @@
-"""What `imucal plan` promises and what the default fit then finds: width of intervals, share that is shown.
+"""Planned record lengths compared with the default fit: width of intervals, detection rate.
 
     python tests/benchmarks/planned.py --records 24 --seed 77 [--truth B …] [--bound 0.15 …]
 
-Each row is a truth at 20 Hz for so long that the least possible standard error of one of its terms (the
-Cramér-Rao bound) is the given one. The median half-width is in standard errors of the truth, with a
-term that is only bounded as infinitely wide.
+Each row is a truth at 20 Hz, with a length at which the Cramér-Rao bound of one term's relative standard
+error is the given one. The median half-width is in standard errors of the truth; a bounded term counts as
+infinitely wide.
 """
 
 import argparse
@@ -29,7 +29,7 @@ TRUTHS = {
 
 
 def needed(model: NoiseModel, name: str, bound: float) -> float:
-    """Return the length of record at which the bound on the relative standard error is the given one."""
+    """Return the record length at which the bound on the relative standard error has the given value."""
     low, high = math.log(5.0), math.log(1e7)
     while high - low > 1e-3:
         middle = (low + high) / 2

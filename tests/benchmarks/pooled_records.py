@@ -1,8 +1,8 @@
-"""What bins say of records of one unit: coverage of pooled limits, false alarms, and weak squares.
+"""Statistics of pooled records of one unit: coverage of limits, false alarms, and weak squares.
 
 ``python -m tests.benchmarks.pooled_records [pools] [records] [samples] [seed]`` prints, for a strong and a
-weak walk, how often pooled limits hold the truth and records of one coefficient are found to differ; and the
-mean and scatter of the squared coefficient of single logs against its standard deviation.
+weak random walk, the coverage of pooled limits and the rate at which equal records differ; and the mean and
+scatter of the squared coefficient of single logs, compared with its standard error.
 """
 
 import sys

@@ -1,11 +1,11 @@
-"""The printed blocks and pictures of README and docs, made again by the program.
+"""Renew the printed blocks and pictures of README and docs with the program.
 
     python -m tests.benchmarks.printed_blocks [PAGE ...]
 
-Runs the commands of each page and puts the program's numbers into the blocks of text. Lines whose words
-the program does not print are listed and left: change them by hand. Without a page it also draws the
-pictures of the README, tutorial and theory, and writes docs/options.md
-and the tables of docs/messages.md. Some minutes.
+It runs the commands of each page and writes the program's numbers to the text blocks. Lines whose words the
+program does not print are listed and unchanged: edit them by hand. Without a page it also draws the
+pictures of the README, tutorial and theory, and writes docs/options.md and the tables of docs/messages.md.
+It takes some minutes.
 """
 
 import sys
@@ -20,7 +20,7 @@ __all__ = ["renew"]
 
 
 def renew(page: Path) -> list[str]:
-    """Write the numbers of the program into a page; return the lines that it does not print."""
+    """Write the numbers of the program to a page; return the lines that it does not print."""
     missing = []
     with tempfile.TemporaryDirectory() as folder:
         fill_folder(Path(folder), page)
@@ -34,7 +34,7 @@ def renew(page: Path) -> list[str]:
 
 
 def main() -> None:
-    """Renew the named pages, or everything; exit code 1 if a line is not printed."""
+    """Renew the given pages, or all; exit code 1 if a line is not printed."""
     pages = [Path(name) for name in sys.argv[1:]] or [
         ROOT / "README.md",
         *sorted((ROOT / "docs").glob("*.md")),

@@ -1,17 +1,17 @@
-"""The memory of a process and of its children, as the system counts it."""
+"""Memory of a process and its children, as counted by the system."""
 
 import contextlib
 from pathlib import Path
 
 
 def memory_of_family(process: int) -> tuple[int, int]:
-    """Return the bytes that a process and its children take, shared ones once; and those in no file."""
+    """Return the bytes of a process and its children, shared ones once, and those without a file."""
     held = [_memory(one) for one in _family(process)]
     return sum(whole for whole, _ in held), sum(anonymous for _, anonymous in held)
 
 
 def _family(process: int) -> list[int]:
-    """Return a process, its children and theirs, as far as they are there."""
+    """Return a process and its existing descendants."""
     found = [process]
     for one in found:
         with contextlib.suppress(OSError):
@@ -21,7 +21,7 @@ def _family(process: int) -> list[int]:
 
 
 def _memory(process: int) -> tuple[int, int]:
-    """Return the bytes of a process, its share of what it shares, and those of them in no file."""
+    """Return the proportional bytes of a process, and those without a file."""
     try:
         text = Path(f"/proc/{process}/smaps_rollup").read_text(encoding="ascii")
     except OSError:

@@ -1,21 +1,20 @@
-"""What reading takes of the memory: a few bytes that hold very much, and a day at 200 Hz.
+"""Memory of reading: small files with very much content, and a day at 200 Hz.
 
     python tests/benchmarks/reading_memory.py [--folder /tmp/x] [--only rows arrays] [--jobs info read]
 
-Files are made where they are not there yet (under a temporary folder that is deleted, or `--folder`):
+Missing files are created (in a temporary folder that is deleted, or in `--folder`):
 
-- ``zeros.csv.gz``: 131 million rows in 4 MB, all the same;
+- ``zeros.csv.gz``: 131 million equal rows in 4 MB;
 - ``zeros.npz``: 4 GB of zeros in 4 MB;
-- ``rows.csv.gz``: as many rows, a block of 256 again and again, with a counter and no time;
+- ``rows.csv.gz``: as many rows, a repeated block of 256, with a counter and no time;
 - ``stamped.csv.gz``: 20 million rows with times in seconds;
 - ``day.mcap``: 17.3 million messages, 24 h at 200 Hz, zstd;
 - ``day.parquet``, ``day.h5``: as many rows;
-- ``long.npz``: six axes of 100 million samples, 4.8 GB, only where it is asked for.
+- ``long.npz``: six axes of 100 million samples, 4.8 GB, only on request.
 
-Each job runs in a process of its own, with the default limit and with ``IMUCAL_MEMORY=500M``. Printed are its
-CPU and wall time, the most that it and its children held at a time (proportional set size, looked at every
-20 ms: what a machine loses, the pages of temporary files that happened to be in memory with it), and how much
-at most was their own memory and lay in no file.
+Each job runs in a separate process, with the default limit and with ``IMUCAL_MEMORY=500M``. The script prints
+CPU and wall time, the peak memory of the job and its children, and the peak of memory without a file. Memory
+is the proportional set size, sampled every 20 ms, which includes cached pages of temporary files.
 """
 
 import argparse
@@ -34,7 +33,7 @@ import numpy as np
 
 from tests.benchmarks.process_memory import memory_of_family
 
-#: Rows of the block that is repeated: as many as a counter of 8 bits tells apart.
+#: Rows of the repeated block: the range of an 8-bit counter.
 BLOCK = 256
 ROWS = 131_000_000
 #: Samples of six axes in 4 GB.
@@ -52,18 +51,18 @@ def _block() -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
 
 
 def make_rows(path: Path) -> None:
-    """Write the rows of the block, again and again."""
+    """Write the repeated rows of the block."""
     rows = [f"{i}," + ",".join(f"{value:.4g}" for value in row) for i, row in enumerate(_block())]
     _repeat(path, rows)
 
 
 def make_zeros(path: Path) -> None:
-    """Write the same row, again and again."""
+    """Write the same row repeatedly."""
     _repeat(path, ["0,0,0,0,0,0,0"] * BLOCK)
 
 
 def _repeat(path: Path, rows: list[str]) -> None:
-    """Write rows as members of a gzip file that are all the same; the last is shorter."""
+    """Write rows as equal members of a gzip file; the last is shorter."""
     text = ("\n".join(rows) + "\n").encode()
     member = 4000 * BLOCK
     packed = gzip.compress(text * 4000, 9)
@@ -89,7 +88,7 @@ def make_arrays(path: Path) -> None:
 
 
 def make_long(path: Path) -> None:
-    """Write two arrays of noise of three axes, block by block, and the rate."""
+    """Write two arrays of noise of three axes in blocks, and the rate."""
     rng, step = np.random.default_rng(14), 1_000_000
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
         for name in ("gyro", "accel"):
@@ -106,7 +105,7 @@ def make_long(path: Path) -> None:
 
 
 def make_stamped(path: Path) -> None:
-    """Write rows with a time of their own, by polars."""
+    """Write rows with their own times, with polars."""
     import polars as pl
 
     names = ["gx_rads", "gy_rads", "gz_rads", "ax_ms2", "ay_ms2", "az_ms2"]
@@ -125,7 +124,7 @@ def make_stamped(path: Path) -> None:
 
 
 def make_day(path: Path) -> None:
-    """Write a day of messages, an hour at a time."""
+    """Write a day of messages, in blocks of an hour."""
     from mcap.writer import Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -173,7 +172,7 @@ def make_hdf5(path: Path) -> None:
             file.create_dataset(name, data=values, chunks=(1 << 16,), compression="gzip", compression_opts=1)
 
 
-#: Name -> how a file is made, and the options that it needs to be read.
+#: Name -> file, function that writes it, and options for reading it.
 FILES: dict[str, tuple[str, Callable[[Path], None], list[str]]] = {
     "zeros": ("zeros.csv.gz", make_zeros, ["--rate", "200"]),
     "arrays": ("zeros.npz", make_arrays, ["--gyro-unit", "rad/s", "--accel-unit", "m/s^2"]),
@@ -185,7 +184,7 @@ FILES: dict[str, tuple[str, Callable[[Path], None], list[str]]] = {
     "long": ("long.npz", make_long, ["--gyro-unit", "rad/s", "--accel-unit", "m/s^2"]),
 }
 _HEAD = "log                   MB  job            limit exit   CPU s  wall s  peak MB  own MB"
-#: Job -> the arguments of Python, before the log's and its options.
+#: Job -> arguments of Python, before the log and its options.
 JOBS = {
     "info": ["-m", "imucal", "info"],
     "info --gaps": ["-m", "imucal", "info", "--gaps"],
@@ -194,7 +193,7 @@ JOBS = {
 
 
 def measured(arguments: list[str], limit: str | None) -> tuple[int, float, float, float, float]:
-    """Return exit code, CPU and wall time in s, and the most memory in all and in no file, in MB."""
+    """Return exit code, CPU and wall time in s, and peak memory in total and without a file, in MB."""
     environment = {name: value for name, value in os.environ.items() if name != "IMUCAL_MEMORY"}
     if limit is not None:
         environment["IMUCAL_MEMORY"] = limit
@@ -216,7 +215,7 @@ def measured(arguments: list[str], limit: str | None) -> tuple[int, float, float
 
 
 def main() -> None:
-    """Make the files and print the table."""
+    """Write the files and print the table."""
     parser = argparse.ArgumentParser(description="Memory of reading.")
     parser.add_argument("--folder", type=Path)
     parser.add_argument(

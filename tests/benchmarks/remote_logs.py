@@ -2,10 +2,10 @@
 
     python -m tests.benchmarks.remote_logs --minutes 10 --camera 20000
 
-Both servers run on this machine (moto plays S3), so that the seconds are those of imucal and the servers;
-a network adds bytes/bandwidth. The logs are MCAP files and a ROS 1 bag at 200 Hz, of the IMU alone and
-beside a camera at 20 Hz with messages of `--camera` bytes that can't be compressed. Every command is run
-twice: with an empty cache, and again.
+Both servers run on this machine (moto emulates S3), so the seconds are those of imucal and the servers; a
+network adds bytes/bandwidth. The logs are MCAP files and a ROS 1 bag at 200 Hz, of the IMU only and with a
+camera at 20 Hz with incompressible messages of `--camera` bytes. Every command is run twice: with an empty
+cache, and again.
 """
 
 import argparse
@@ -32,7 +32,7 @@ RATE, CAMERA_RATE = 200, 20
 
 
 def with_camera(path: Path, minutes: float, camera: int) -> None:
-    """Write an MCAP log of an IMU beside a camera."""
+    """Write an MCAP log of an IMU and a camera."""
     from mcap.writer import Writer
     from rosbags.typesys import Stores, get_typestore
 

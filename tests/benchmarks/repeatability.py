@@ -1,19 +1,19 @@
-"""Whether repeats of one measurement agree within their intervals, on real and on simulated records.
+"""Agreement of repeated measurements within their intervals, for real and simulated records.
 
     python tests/benchmarks/repeatability.py real [--model auto] [--segments 8 1]
     python tests/benchmarks/repeatability.py control --records 10 --seed 1 [--model auto]
     python tests/benchmarks/repeatability.py simulated --records 100 --seed 1 [--truth "N + B" …]
 
 `real`: the quarters and halves of each run of the ADIS16405 (two runs of 1e6 samples at 100 Hz, six
-axes), and run against run, from the folder that IMUCAL_REAL_DATA names. A pair disagrees where the
-score of its difference (as `imucal compare` has it) is beyond 1.96: 5 of 100 by chance; two bounds
-agree. Overdispersion is sqrt(chi2/dof) of the logarithms of those that are shown: 1 by chance.
+axes), and both runs, from the folder IMUCAL_REAL_DATA. A pair disagrees if the score of its difference (as in
+`imucal compare`) exceeds 1.96: 5 of 100 by chance; two bounds agree. Overdispersion is sqrt(chi2/dof) of the
+logarithms of the detected terms: 1 by chance.
 
-`control`: what the quarters of such records give by chance: the same statistics of stationary simulations
-of the models that were fitted to each whole run; medians and 95 % ranges over the simulated sets.
+`control`: the same statistics by chance, for quarters of stationary simulations of the models that were
+fitted to the complete runs; medians and 95 % ranges over the simulated sets.
 
-`simulated`: stationary records, 33 min at 100 Hz: of how many axes any interval was widened, and how
-much wider the intervals are on average (logarithm of high over low; of the bound where there is none).
+`simulated`: stationary records, 33 min at 100 Hz: the number of axes with a widened interval, and the mean
+increase of the intervals (logarithm of high over low; of the bound if there is none).
 """
 
 import argparse
@@ -35,7 +35,7 @@ from imucal.noise.terms import ALWAYS
 from tests.benchmarks.coverage_auto import RATE_HZ, TRUTHS, N
 
 _REAL = Path(__file__).resolve().parents[3] / "shared" / "data"
-#: rad/s and m/s² a count.
+#: rad/s and m/s² per count.
 _GYRO, _ACCEL = 0.05 * math.pi / 180, 3.33e-3 * 9.80665
 _PARTS = {"quarters": 4, "halves": 2, "runs": 1}
 
@@ -65,13 +65,13 @@ def parts_of(series: imucal.AxisSeries, count: int) -> list[imucal.AxisSeries]:
 
 
 def disagree(a: Estimate, b: Estimate, level: float) -> bool:
-    """Whether two estimates of one number are further apart than chance explains."""
+    """Whether two estimates of one number differ by more than chance explains."""
     score = _score(a, b, (level, level), 0.0)
     return score is not None and abs(score) > 1.96
 
 
 def chi_squared(estimates: list[Estimate]) -> tuple[float, int]:
-    """Return the squares of logs about their mean in units of their errors, and their degrees of freedom."""
+    """Return the chi-squared of logs about their mean in units of their errors, and degrees of freedom."""
     shown = [(e.value, e.low, e.high) for e in estimates if e.value and e.low > 0]
     if len(shown) < 2:
         return 0.0, 0
@@ -82,7 +82,7 @@ def chi_squared(estimates: list[Estimate]) -> tuple[float, int]:
 
 
 def agreement(groups: list[list[NoiseFit]], symbol: str) -> tuple[float, int, float, int]:
-    """Return the share of pairs that disagree, of how many; the overdispersion and its degrees of freedom."""
+    """Return the share of pairs that disagree, their number, the overdispersion, its degrees of freedom."""
     pairs = [
         disagree(a[symbol], b[symbol], a.level)
         for group in groups
@@ -95,7 +95,7 @@ def agreement(groups: list[list[NoiseFit]], symbol: str) -> tuple[float, int, fl
 
 
 def control(model: str, records: int, seed: int) -> None:
-    """Print what stationary records of the fitted models give by chance."""
+    """Print the results by chance, from stationary records of the fitted models."""
     models = [(imucal.fit(series, model=model).model, series.n) for _, _, series in real_axes()]
     found: dict[str, list[tuple[float, int, float, int]]] = {symbol: [] for symbol in ALWAYS}
     for record in range(records):
@@ -113,8 +113,8 @@ def control(model: str, records: int, seed: int) -> None:
         over = np.array([value for _, _, value, dof in found[symbol] if dof])
         dof = np.median([dof for _, _, _, dof in found[symbol]])
         spans = (np.quantile(values, [0.025, 0.5, 0.975]) for values in (shares, over) if values.size)
-        said = " · ".join(f"{middle:.3g} ({low:.3g} to {high:.3g})" for low, middle, high in spans)
-        cells.append(f"{said}, {dof:.0f} degrees of freedom")
+        intervals = " · ".join(f"{middle:.3g} ({low:.3g} to {high:.3g})" for low, middle, high in spans)
+        cells.append(f"{intervals}, {dof:.0f} degrees of freedom")
     print(f"| quarters, {records} simulated sets | {' | '.join(cells)} |", flush=True)
 
 

@@ -1,8 +1,8 @@
-"""Several rests of a drive as one record: do the intervals hold the truth, and what are they worth.
+"""Several rests of a drive as one record: coverage and precision of the intervals.
 
-Simulated drives: rests of different lengths, between them motion as of a car, with slow ramps to and from
-rest and springs that ring after it; each rest has its own pose and its own bias, the noise goes on through
-all of it, and in some rests the engine idles. The fit of all rests is held against that of the longest.
+Drives are simulated: rests of different lengths with motion like a car's between them, with slow ramps to
+and from rest and springs that ring after it. Each rest has its own pose and bias, the noise continues, and
+in some rests the engine idles. The fit of all rests is compared with that of the longest.
 
     python tests/benchmarks/rests.py [DRIVES] [FIRST SEED] [KIND...]
 """
@@ -30,7 +30,7 @@ TRUTH = {
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What is driven: shortest and longest rest and motion in s, how many rests, share of them shaken."""
+    """A kind of drive: number of rests, ranges of rest and motion in s, and share of shaken rests."""
 
     rests: int
     rest_s: tuple[float, float]
@@ -38,7 +38,7 @@ class Drive:
     shaken: float = 0.0
 
 
-#: Kinds of drives, by their names.
+#: Kinds of drives by name.
 DRIVES = {
     "six rests": Drive(6, (120.0, 600.0), (20.0, 120.0)),
     "six equal rests": Drive(6, (300.0, 301.0), (20.0, 120.0)),
@@ -50,7 +50,7 @@ DRIVES = {
 
 
 def motion(seconds: float, rng: np.random.Generator) -> FloatArray:
-    """Return what moving adds to the six axes, shape (6, k): turns, throttle, road; soft at its ends."""
+    """Return the motion added to the six axes, shape (6, k): turns, throttle, road; smooth at its ends."""
     k = int(seconds * RATE)
     t = np.arange(k) / RATE
     # It starts and stops smoothly within 1.5 s.
@@ -87,7 +87,7 @@ def simulate(drive: Drive, seed: int) -> Recording:
                 rest[row] += idle * (0.004 if row < 3 else 0.05)
         pose = rng.normal(size=3) * [0.5, 0.5, 0.02] + [0, 0, 9.81]
         new = np.r_[rng.normal(size=3) * 1e-3, pose]
-        # The level goes from one rest's to the next while it moves.
+        # The level changes from one rest's to the next during the motion.
         share = np.clip(np.arange(move.shape[1]) / move.shape[1] * 1.2 - 0.1, 0, 1)
         parts += [move + bias[:, None] + (new - bias)[:, None] * share, rest + new[:, None]]
         bias = new
@@ -105,7 +105,7 @@ def simulate(drive: Drive, seed: int) -> Recording:
 
 
 def main() -> None:
-    """Print coverage, and how much narrower the intervals are than those of the longest rest."""
+    """Print coverage, and the ratio of the intervals' widths to those of the longest rest."""
     drives = int(sys.argv[1]) if len(sys.argv) > 1 else 40
     first = int(sys.argv[2]) if len(sys.argv) > 2 else 0
     for name, drive in DRIVES.items():

@@ -2,8 +2,8 @@
 
     python tests/benchmarks/same_results.py before/ after/
 
-Both folders hold what ``imucal fit LOG --json`` printed, under equal names. An estimate and its limits
-must lie within 1 % of the interval's width of the earlier ones. Exit code 1 where anything differs.
+Both folders contain the output of ``imucal fit LOG --json`` under equal names. An estimate and its limits
+must be within 1 % of the interval's width of the earlier ones. The exit code is 1 if anything differs.
 """
 
 import json
@@ -11,12 +11,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
-#: Largest move of an estimate or a limit, as a share of its interval's width.
+#: Largest change of an estimate or a limit, as a share of its interval's width.
 _MOST = 0.01
 
 
 def moves(before: dict[str, Any], after: dict[str, Any]) -> dict[str, float]:
-    """Return how far each estimate moved, in widths of its earlier interval; inf where its kind changed."""
+    """Return the change of each estimate in widths of its earlier interval; inf if its kind changed."""
     found = {}
     for key in before.keys() | after.keys():
         old, new = before.get(key), after.get(key)
@@ -34,24 +34,24 @@ def moves(before: dict[str, Any], after: dict[str, Any]) -> dict[str, float]:
     return found
 
 
-def said(findings: list[dict[str, Any]]) -> set[tuple[str, str, str]]:
+def keys_of(findings: list[dict[str, Any]]) -> set[tuple[str, str, str]]:
     """Return level, code and axis of each finding."""
     return {(finding["level"], finding["code"], finding["axis"] or "") for finding in findings}
 
 
 def every(report: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return all findings; in version 1 of report.json those of an axis are in its entry."""
+    """Return all findings; in version 1 of report.json, an axis contains its own."""
     found: list[dict[str, Any]] = report["findings"]
     return found + [f for axis in report["axes"] for f in axis.get("findings", ())]
 
 
 def differences(before: dict[str, Any], after: dict[str, Any]) -> tuple[float, list[str]]:
-    """Return the largest move, in widths, and what differs in words."""
+    """Return the largest change, in widths, and descriptions of the differences."""
     lines = []
     largest = 0.0
     axes = {axis["name"]: axis for axis in after["axes"]}
-    if said(every(before)) != said(every(after)):
-        lines.append(f"findings {sorted(said(every(before)) ^ said(every(after)))}")
+    if keys_of(every(before)) != keys_of(every(after)):
+        lines.append(f"findings {sorted(keys_of(every(before)) ^ keys_of(every(after)))}")
     for old in before["axes"]:
         new = axes.pop(old["name"], None)
         if new is None:
@@ -69,7 +69,7 @@ def differences(before: dict[str, Any], after: dict[str, Any]) -> tuple[float, l
 
 
 def main() -> None:
-    """Print a table in Markdown, and what differs under it."""
+    """Print a table in Markdown, followed by the differences."""
     first, second = (Path(text) for text in sys.argv[1:3])
     everything = []
     print("| log | axes | largest move, % of the interval | differences |")

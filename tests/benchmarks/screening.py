@@ -1,8 +1,7 @@
-"""False alarms of the screening on logs at rest: how often each check speaks, for each kind of noise.
+"""False alarm rate of the screening on logs at rest, by check and kind of noise.
 
-The logs hold a temperature that rises by 2 degrees and has nothing to do with the noise.
-
-Run as ``python -m tests.benchmarks.screening [LOGS] [SAMPLES]``.
+The logs contain a temperature that rises by 2 degrees and is unrelated to the noise. Run as
+``python -m tests.benchmarks.screening [LOGS] [SAMPLES]``.
 """
 
 import sys

@@ -1,6 +1,6 @@
-"""How small a fault the screening finds: share of logs, by fault and size in deviations of the noise.
+"""Detection rate of faults by the screening, by fault and size in deviations of the noise.
 
-Run as ``python -m tests.benchmarks.screening_power [LOGS]``. Logs of 200 s at 100 Hz, white noise.
+Run as ``python -m tests.benchmarks.screening_power [LOGS]``. Logs have 200 s at 100 Hz of white noise.
 """
 
 import sys
@@ -38,7 +38,7 @@ def share(code: str, shape: FloatArray, size: float, logs: int) -> float:
 
 
 def main() -> None:
-    """Print a row a fault, a column a size."""
+    """Print a row per fault, with a column per size."""
     logs = int(sys.argv[1]) if len(sys.argv) > 1 else 40
 
     print(f"{'size, in deviations':26s}", *(f"{size:5g}" for size in SIZES))

@@ -1,9 +1,9 @@
-"""How often one half of a record is said to predict the other badly, where it doesn't and on real logs.
+"""False alarm rate of the self-check for stationary records, and its alarms for real logs.
 
     python tests/benchmarks/self_check.py [RECORDS OF EACH] [SEED]
 
-Truths are eight models at 10 Hz, with halves of 1000, 2000 and 5000 s. Where ``IMUCAL_REAL_DATA`` names a
-folder of real logs, whole runs and quarters of an ADIS16405 follow.
+Truths are eight models at 10 Hz, with halves of 1000, 2000 and 5000 s. If ``IMUCAL_REAL_DATA`` names a
+folder of real logs, complete runs and quarters of an ADIS16405 follow.
 """
 
 import os
@@ -39,7 +39,7 @@ def simulated(records: int, seed: int) -> Iterator[tuple[str, AxisSeries]]:
 
 
 def measured(folder: Path) -> Iterator[tuple[str, AxisSeries]]:
-    """Yield whole runs and quarters of each axis of the ADIS16405, with the sensor's name."""
+    """Yield complete runs and quarters of each axis of the ADIS16405, with the sensor's name."""
     for file in sorted((folder / "real" / "adis16405").glob("*.npz")):
         counts = np.load(file)
         for sensor, name, unit in (
@@ -52,8 +52,8 @@ def measured(folder: Path) -> Iterator[tuple[str, AxisSeries]]:
 
 
 def show(title: str, records: Iterator[tuple[str, AxisSeries]]) -> None:
-    """Print of how many records it is said, by kind, beside a misfit or without one; and the cost."""
-    every, said, silent = Counter[str](), Counter[str](), Counter[str]()
+    """Print the alarm rate by kind, with and without a misfit, and the cost."""
+    every, alarms, silent = Counter[str](), Counter[str](), Counter[str]()
     fitting = checking = 0.0
     for kind, series in records:
         start = time.process_time()
@@ -62,14 +62,14 @@ def show(title: str, records: Iterator[tuple[str, AxisSeries]]) -> None:
         found = bool(self_check(series, fit))
         fitting, checking = fitting + between - start, checking + time.process_time() - between
         every[kind] += 1
-        said[kind] += found
+        alarms[kind] += found
         silent[kind] += found and all(f.code != "model-misfit" for f in fit.findings)
     print(f"## {title}")
     for kind, count in every.items():
-        print(f"{kind:34s} {said[kind]:3d} of {count:4d}, {silent[kind]} without model-misfit")
+        print(f"{kind:34s} {alarms[kind]:3d} of {count:4d}, {silent[kind]} without model-misfit")
     total = every.total()
-    share, cost = said.total() / total, checking / fitting
-    print(f"all {said.total()} of {total}: {share:.2%}; {cost:.1%} of the fits' CPU", flush=True)
+    share, cost = alarms.total() / total, checking / fitting
+    print(f"all {alarms.total()} of {total}: {share:.2%}; {cost:.1%} of the fits' CPU", flush=True)
 
 
 def main() -> None:

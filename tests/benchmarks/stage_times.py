@@ -1,10 +1,10 @@
-"""Sample where a run of imucal spends its CPU time; `bench_job` calls it in a process of its own.
+"""Sample the CPU time of the functions in a run of imucal; `bench_job` starts it in a separate process.
 
     python tests/benchmarks/stage_times.py FOUND.json fit LOG --json …
 
-Some 250 times a second of CPU the stack is looked at, and every function in it is given the time since the
-last look. A profiler, which stops at every call, makes Python's own share two to three times as large. It
-sees one thread: say IMUCAL_THREADS=1 and --jobs 1. Nothing is imported that imucal may import.
+The stack is sampled about 250 times per second of CPU, and every function in it gets the time since the last
+sample. A profiler, which stops at every call, makes Python's own share two to three times as large. It
+samples one thread: use IMUCAL_THREADS=1 and --jobs 1. It imports no module that imucal may import.
 """
 
 import signal
@@ -13,19 +13,19 @@ import time
 from collections import defaultdict
 from types import FrameType
 
-#: CPU time between two looks, in s; the system's clock may make it longer.
+#: CPU time between two samples, in s; the system's clock may make it longer.
 _INTERVAL = 0.001
 
 
 class Sampler:
-    """CPU time of each function, with what it calls, by file and name, in s."""
+    """CPU time of each function including its calls, by file and name, in s."""
 
     def __init__(self) -> None:
         self.seconds: defaultdict[tuple[str, str], float] = defaultdict(float)
         self._last = time.process_time()
 
     def look(self, _signal: int, frame: FrameType | None) -> None:
-        """Give the time since the last look to all functions of the stack."""
+        """Add the time since the last sample to all functions of the stack."""
         now = time.process_time()
         seen = set()
         while frame is not None:
@@ -37,7 +37,7 @@ class Sampler:
 
 
 def main() -> None:
-    """Run the command and write what was found."""
+    """Run the command and write the times."""
     found, *arguments = sys.argv[1:]
     sampler = Sampler()
     signal.signal(signal.SIGPROF, sampler.look)

@@ -1,8 +1,8 @@
-"""The pictures and the tables of docs/theory.md, from simulated noise.
+"""The pictures and tables of docs/theory.md, from simulated noise.
 
     python tests/benchmarks/theory_figures.py [folder]
 
-Writes the pictures to docs/images (or the folder) and prints the tables in Markdown; some minutes.
+It writes the pictures to docs/images (or the folder) and prints the tables in Markdown, in some minutes.
 """
 
 import sys
@@ -26,7 +26,7 @@ from imucal.report.figure_style import AXES, DATA, FADED, INK, LABEL_SIZE, MODEL
 
 __all__ = ["FIGURES", "RIPPLE", "flicker", "moving_average", "rippled"]
 
-#: Of the ripple that the curve does not see, beside the flicker.
+#: Size of the ripple that the curve does not show, relative to the flicker noise.
 RIPPLE = 0.8
 _COLOURS = [AXES[axis].light for axis in "xyz"]
 _SIZE = 9.0
@@ -45,7 +45,7 @@ def flicker(f: FloatArray) -> FloatArray:
 
 
 def rippled(f: FloatArray) -> FloatArray:
-    """Return 1/f with Phi(f) = 2 Phi(2f) added: a ripple of one period an octave."""
+    """Return 1/f with Phi(f) = 2 Phi(2f) added: a ripple with one period per octave."""
     return np.asarray((1 + RIPPLE * np.cos(2 * np.pi * np.log2(f))) / f)
 
 
@@ -95,7 +95,7 @@ def moving_average_figure(records: int = 200) -> Figure:
 
 
 def additivity_figure(n: int = 1_000_000) -> Figure:
-    """Draw that the curve of a sum is the sum of the curves."""
+    """Draw the curve of a sum and the sum of the curves."""
     figure, (axes, other) = _panels(2)
     rate, text = 100.0, "Q=3e-5 + N=1e-3 + B=2e-4 + K=3e-5"
     model = NoiseModel.parse(text)
@@ -124,7 +124,7 @@ def additivity_figure(n: int = 1_000_000) -> Figure:
 
 
 def ambiguity_figure() -> Figure:
-    """Draw two densities and their one curve."""
+    """Draw two densities and their common curve."""
     figure, (left, right) = _panels(2)
     f, tau = np.geomspace(1e-3, 1, 800), np.geomspace(1, 1000, 40)
     left.plot(f, rippled(f), color=_COLOURS[0], linewidth=1.5, label="(1 + 0.8 cos(2π log₂ f))/f")
@@ -142,7 +142,7 @@ def ambiguity_figure() -> Figure:
 
 
 def _moments(records: int, n: int, m: FloatArray) -> tuple[FloatArray, dict[str, FloatArray], FloatArray]:
-    """Return Allan variances of WN + RW, shape (r, k), the shares of three intervals, and edf of each m."""
+    """Return Allan variances of WN + RW, shape (r, k), the coverage of three intervals, and edf of each m."""
     model = NoiseModel.parse("N=1 + K=0.02")
     rng, truth = np.random.default_rng(83), model.avar(m, rate_hz=1.0)
     generic = GenericModel(variances=(0.0, 1.0, 0.0, 0.02**2))
@@ -162,7 +162,7 @@ def _moments(records: int, n: int, m: FloatArray) -> tuple[FloatArray, dict[str,
 
 
 def coverage_figure(records: int = 1000, n: int = 4096) -> Figure:
-    """Draw normality for few averages and many, the long-run variance, and what three intervals cover."""
+    """Draw the distribution for few and many averages, the long-run variance, and the intervals' coverage."""
     figure, (shape, spread, cover) = _panels(3)
     m: FloatArray = np.exp2(np.arange(int(np.log2(n / 4)) + 1))
     avar, held, exact = _moments(records, n, m)
@@ -254,7 +254,7 @@ def slopes_figure(n: int = 100_000) -> Figure:
 
 
 def latent_figure(n: int = 720_000) -> Figure:
-    """Draw what the bias of a simulated gyroscope did in two hours, with a gap."""
+    """Draw the bias of a simulated gyroscope over two hours, with a gap."""
     model = NoiseModel.parse("N=1e-4 + B=3e-5 + K=3e-6")
     samples = model.simulate(n, rate_hz=100.0, rng=np.random.default_rng(85))
     keep = np.ones(n, dtype=bool)
@@ -265,7 +265,7 @@ def latent_figure(n: int = 720_000) -> Figure:
     return figure
 
 
-#: Name of the picture -> what draws it.
+#: Name of the picture -> function that draws it.
 FIGURES: dict[str, Callable[[], Figure]] = {
     "theory-ma1": moving_average_figure,
     "theory-additivity": additivity_figure,
@@ -301,7 +301,7 @@ def estimators_table(records: int = 60, n: int = 100_000) -> None:
 
 
 def likelihood_table() -> None:
-    """Print what one likelihood of a dense covariance costs, and a whole fit by imucal, as n grows."""
+    """Print the time of one likelihood with a dense covariance and of a complete fit, for rising n."""
     model = NoiseModel.parse("N=10 + K=0.03")
     print("| n | one dense likelihood, s | the whole fit, s |\n|---|---|---|")
     for n in (1000, 4000, 10_000, 100_000, 1_000_000, 10_000_000):

@@ -1,8 +1,8 @@
-"""The plots of docs/tutorial.md and the README: imucal writes them when their commands are typed.
+"""The plots of docs/tutorial.md and the README, created by running their commands.
 
     python -m tests.benchmarks.tutorial_figures [folder]
 
-Writes to docs/images (or the folder); about ten seconds.
+It writes to docs/images (or the folder) in about ten seconds.
 """
 
 import shutil
@@ -23,7 +23,7 @@ FIGURES = {
 
 
 def draw(folder: Path) -> None:
-    """Type the page's commands in a folder of their own, and copy the pictures."""
+    """Run the page's commands in a temporary folder, and copy the pictures."""
     with tempfile.TemporaryDirectory() as scratch:
         for language, text in code_blocks(_DOCS / "tutorial.md"):
             if language == "console":

@@ -1,4 +1,4 @@
-"""Short ways to a fit, for the tests."""
+"""Helpers that make fits for the tests."""
 
 import numpy as np
 
@@ -27,7 +27,7 @@ def simulated(text: str, n: int, seed: int, *, rate_hz: float = 1.0) -> FloatArr
 
 
 def no_curve(n: int) -> AllanCurve:
-    """Return a curve in name only: maximum likelihood passes it on without a look."""
+    """Return a placeholder curve; maximum likelihood returns it without using it."""
     two = np.array([1.0, 2.0])
     return AllanCurve(tau=two, m=np.array([1, 2]), avar=two, edf=two, n=n)
 
@@ -55,7 +55,7 @@ def fitted(
 
 
 def ordinates_of(samples: FloatArray) -> Ordinates:
-    """Return the binned ordinates of unbroken samples as they are, with the ramp as regressor."""
+    """Return the binned ordinates of samples without gaps, with the ramp as regressor."""
     bins = dct_bins(samples.size)
     return bin_blocks([Block(offset=0, bins=bins, ordinates=dct_ordinates(samples))], 1.0)
 
@@ -69,7 +69,7 @@ def at_maximum(
     beta: FloatArray | None = None,
     beta_covariance: FloatArray | None = None,
 ) -> Fits:
-    """Return a likelihood at rows of parameters, its gradient zero; what is not given is empty or zero."""
+    """Return a likelihood at rows of parameters with zero gradient; omitted arrays are empty or zero."""
     rows, size = theta.shape
     return Fits(
         models=models_of([("N",)] * rows, ()) if models is None else models,
@@ -84,7 +84,7 @@ def at_maximum(
 
 
 def estimated(samples: FloatArray, model: str, *, level: float = 0.95) -> dict[str, Estimate]:
-    """Return the estimates of a given model on the whole band, without looking for a filter."""
+    """Return the estimates of a given model on the full band, without a search for a filter."""
     data = ordinates_of(samples)
     choice = choose(data, [parse_structure(model)], criterion="bic")
     problem = Problem(ordinates=data, level=level, tau0=1.0, widening={})

@@ -190,7 +190,7 @@ class BlockLaw:
 
 
 @frozen_alone
-class Told:
+class GapMatrices:
     """Matrices of blocks with the same missing samples: information on the start, prediction of the end.
 
     `inverse`, shape (seen, seen), and `log_det` belong to the covariance of the seen samples given the start.
@@ -207,7 +207,7 @@ class Told:
     rest: FloatArray
 
     @classmethod
-    def of(cls, block: BlockLaw, seen: BoolArray) -> "Told":
+    def of(cls, block: BlockLaw, seen: BoolArray) -> "GapMatrices":
         """Return the matrices of blocks with the samples `seen`, shape (B,)."""
         covariance = block.samples[np.ix_(seen, seen)]
         inverse = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
@@ -257,7 +257,7 @@ class Blocks:
         """Number of samples of a block."""
         return int(self.samples.shape[1])
 
-    def alike(self) -> Iterator[tuple[IntArray, BoolArray]]:
+    def with_equal_gaps(self) -> Iterator[tuple[IntArray, BoolArray]]:
         """Yield groups of blocks with the same gaps: their indices and seen samples, shape (length,)."""
         places: dict[bytes, list[int]] = {}
         for place, packed in enumerate(np.packbits(self.seen, axis=1)):
@@ -288,13 +288,13 @@ def filtered(states: StateSpace, blocks: Blocks, block: BlockLaw) -> Iterator[St
     """Yield the step of each block; the first sample must be seen and white noise have variance 1."""
     d, p = states.size, len(states.flat)
     # Matrices of each block, and its samples weighed for its start and for its end.
-    told: dict[int, Told] = {}
+    matrices: dict[int, GapMatrices] = {}
     weighed, gained = np.empty((blocks.count, d + 2)), np.empty((blocks.count, d))
-    for members, seen in blocks.alike():
-        one = Told.of(block, seen)
+    for members, seen in blocks.with_equal_gaps():
+        one = GapMatrices.of(block, seen)
         own = blocks.samples[members][:, seen]
         weighed[members], gained[members] = own @ one.weights.T, own @ one.gain.T
-        told.update(dict.fromkeys(members.tolist(), one))
+        matrices.update(dict.fromkeys(members.tolist(), one))
     inverse, mean = np.zeros((d + p, d + p)), np.zeros(d + p)
     proper = np.isfinite(states.start)
     inverse[:d, :d] = np.diag(np.where(proper, 1 / states.start, 0.0))
@@ -302,7 +302,7 @@ def filtered(states: StateSpace, blocks: Blocks, block: BlockLaw) -> Iterator[St
     # Keep the information invertible: a first block of one sample does not determine a slope.
     inverse[d:, d:] = np.eye(p) / (_FLAT * max(1.0, float(np.abs(blocks.samples).max()))) ** 2
     for place in range(blocks.count):
-        one, step = told[place], states.extension(place / blocks.count)
+        one, step = matrices[place], states.extension(place / blocks.count)
         covariance = inverse_of(inverse + step.T @ one.information @ step)
         before, mean = mean, covariance @ (inverse @ mean + step.T @ weighed[place])
         # The squares are minimal at the mean, so its rounding does not matter.

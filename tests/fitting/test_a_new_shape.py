@@ -1,4 +1,4 @@
-"""A term of a shape that imucal does not know is fitted when its class is written, and nothing else."""
+"""Tests of fits of terms that imucal does not contain: a class in the table of terms is enough."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -19,7 +19,7 @@ RATE_HZ = 100.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SquaredExponential(NoiseTerm):
-    """A bias without corners: autocovariance sigma² exp(-(t/T)²)."""
+    """A smooth bias: autocovariance sigma² exp(-(t/T)²)."""
 
     symbol = "SE"
     names = ("squared exponential", "squared exponential")
@@ -50,7 +50,7 @@ class SquaredExponential(NoiseTerm):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Smoothed(NoiseTerm):
-    """White noise through y[t] = (x[t] + x[t-1]) / 2: a coefficient and no time."""
+    """White noise filtered by y[t] = (x[t] + x[t-1]) / 2: a coefficient without a time."""
 
     symbol = "P"
     names = ("smoothed white noise", "smoothed white noise")
@@ -75,7 +75,7 @@ class Smoothed(NoiseTerm):
 
 @pytest.fixture(autouse=True)
 def _added(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Write the terms' lines in the table."""
+    """Add the terms to the table of terms."""
     for term in (SquaredExponential, Smoothed):
         monkeypatch.setitem(TERMS, term.symbol, term)
 
@@ -87,18 +87,18 @@ def fit_of(truth: str, model: str, method: str = "mle", *, n: int = 100_000, see
 
 
 def covers(found: NoiseFit, key: str, sigma: float, time: float) -> bool:
-    """Whether both of a term's intervals hold the truth, and are no wider than that tells something."""
+    """Whether both intervals of a term cover the truth and the coefficient is known to a factor of 2."""
     estimate = found[key]
-    told = estimate.correlation_time
-    assert told is not None
+    time_interval = estimate.correlation_time
+    assert time_interval is not None
     assert estimate.high < 2 * estimate.low
-    return estimate.low <= sigma <= estimate.high and told.low <= time <= told.high
+    return estimate.low <= sigma <= estimate.high and time_interval.low <= time <= time_interval.high
 
 
 @pytest.mark.parametrize("method", ["mle", "gmwm"])
 @pytest.mark.parametrize("seed", [2, 3, 4])
-def test_its_coefficient_and_time_are_recovered(method: str, seed: int) -> None:
-    """Both within their 95 % intervals; the model holds them, and the covariance names them."""
+def test_coefficient_and_time_of_a_new_term_are_recovered(method: str, seed: int) -> None:
+    """The 95 % intervals cover the truth, and the covariance contains both parameters."""
     found = fit_of("N=1e-3 + SE(sigma=5e-3, T=2.0)", "N + SE", method, seed=seed)
     assert str(found.model) == "N + SE"
     assert covers(found, "SE", 5e-3, 2.0)
@@ -108,24 +108,23 @@ def test_its_coefficient_and_time_are_recovered(method: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize("method", ["mle", "gmwm"])
-def test_it_is_fitted_next_to_a_term_of_another_shape(method: str) -> None:
-    """Each has its own time; Gauss-Markov's spectrum falls far more slowly."""
+def test_a_new_term_is_fitted_next_to_a_gauss_markov_term(method: str) -> None:
+    """Each has its own time; the spectrum of a Gauss-Markov term falls much more slowly."""
     text = "N=1e-3 + GM(sigma=5e-3, T=0.2) + SE(sigma=1e-2, T=4.0)"
     found = fit_of(text, "N + GM + SE", method, seed=5)
     assert covers(found, "GM", 5e-3, 0.2)
     assert covers(found, "SE", 1e-2, 4.0)
 
 
-def test_a_choice_may_fall_on_it() -> None:
-    """``auto`` tries every term that the method fits: this one explains its own samples best."""
+def test_a_new_term_can_be_selected() -> None:
+    """``auto`` tries every term that the method fits, and the new term fits its own samples best."""
     drawn = NoiseModel.parse("N=1e-3 + SE(sigma=5e-3, T=2.0)")
     samples = drawn.simulate(30_000, rate_hz=RATE_HZ, rng=np.random.default_rng(3))
     found = imucal.fit(AxisSeries.from_samples(samples, rate_hz=RATE_HZ), max_gm=0)
     assert "SE" in str(found.model)
 
 
-def test_a_coefficient_without_a_time_is_fitted_too() -> None:
-    """One parameter, one interval."""
+def test_a_new_term_without_a_time_is_fitted() -> None:
     found = fit_of("N=1e-3 + P=1e-2", "N + P")
     assert found["P"].low <= 1e-2 <= found["P"].high
     assert found["P"].correlation_time is None
@@ -133,8 +132,8 @@ def test_a_coefficient_without_a_time_is_fitted_too() -> None:
 
 
 @pytest.mark.parametrize("method", [name for name in METHODS if name != "slope"])
-def test_a_term_of_other_parameters_is_refused(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In a sentence, before anything is computed."""
+def test_a_term_with_other_parameters_is_rejected(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The error is raised before any calculation."""
     monkeypatch.setattr(SquaredExponential, "parameters", classmethod(lambda _: ("sigma", "period")))
     with pytest.raises(ValueError, match="SE") as refusal:
         fit_of("N=1e-3", "N + SE", method)
@@ -144,22 +143,22 @@ def test_a_term_of_other_parameters_is_refused(method: str, monkeypatch: pytest.
     )
 
 
-def test_a_term_without_a_slope_is_not_read_from_slopes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Though its class says that it may be."""
+def test_the_slope_method_rejects_a_term_without_a_slope(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The error is raised even if the class lists the method."""
     monkeypatch.setattr(SquaredExponential, "fitted_by", frozenset({"slope"}))
     with pytest.raises(ValueError, match=r"^method 'slope' can't fit SE .*: its curve has no single slope"):
         fit_of("N=1e-3", "N + SE", "slope")
 
 
-def test_a_term_without_density_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All its power at one frequency, for instance: a spectrum does not tell it."""
+def test_a_term_without_density_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A spectrum does not determine it if, for example, all its power is at one frequency."""
     monkeypatch.setattr(SquaredExponential, "psd", lambda _self, f, _tau0: np.zeros_like(f))
     with pytest.raises(ValueError, match=r"^method 'mle' can't fit SE .* its psd is 0.*; leave SE out$"):
         fit_of("N=1e-3", "N + SE")
 
 
-def test_the_quick_form_is_the_plain_one() -> None:
-    """Gauss-Markov has both: many at once for the fits, and one from its class."""
+def test_the_fast_gauss_markov_shape_agrees_with_the_generic_one() -> None:
+    """Fits compute many times at once; the generic form uses the term's class."""
     k = np.arange(1, 200)
     lam, length = 4 * np.sin(np.pi * k / 400) ** 2, np.full(k.size, 200.0)
     sign = np.where(k > 100, 0.0, np.where(k % 2 == 0, 1.0, -1.0))

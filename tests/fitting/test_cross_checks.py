@@ -1,4 +1,4 @@
-"""One fit against the other."""
+"""Tests of the second opinion: a spectral fit compared with a fit of the curve."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ from tests.slow_cases import first_by_default
 
 @pytest.fixture(scope="module", name="fit")
 def fit_of_white_noise_and_walk() -> NoiseFit:
-    """Return a fit of N + K, K to 15 %."""
+    """Return a fit of N + K with K known to 15 %."""
     curve = simulated_curve("N=1 + K=3e-3", 50_000, np.random.default_rng(31))
     return fit_gmwm(None, curve, FitSettings(model="N + K"))
 
@@ -44,13 +44,13 @@ def _moved(estimate: Estimate, factor: float) -> Estimate:
 
 
 def test_fits_that_agree_have_no_finding(fit: NoiseFit) -> None:
-    """Nor do differences below one per cent, however sure both are."""
+    """Differences below one per cent have none either, however small the standard errors are."""
     assert second_opinion(replace(fit, method="mle"), fit) == ()
     assert second_opinion(_with(fit, _moved(fit["N"], 1.009), 1e-6), fit) == ()
 
 
 def test_a_large_difference_is_a_finding(fit: NoiseFit) -> None:
-    """Both values and intervals are in the text."""
+    """The text contains both values and intervals."""
     (finding,) = second_opinion(_with(fit, _moved(fit["N"], 1.1), 0.9), fit)
     assert finding.level == "warning"
     assert finding.code == "second-opinion"
@@ -63,7 +63,7 @@ def test_a_large_difference_is_a_finding(fit: NoiseFit) -> None:
 
 
 def test_a_bound_is_contradicted_by_an_interval_above_it(fit: NoiseFit) -> None:
-    """A bound that the other's interval reaches is none."""
+    """An interval that overlaps the bound does not contradict it."""
     high = fit["K"].low / 2
     bounded = Estimate(key="K", symbol="K", status="bounded", value=None, low=0.0, high=high)
     (finding,) = second_opinion(_with(fit, bounded), fit)
@@ -71,15 +71,14 @@ def test_a_bound_is_contradicted_by_an_interval_above_it(fit: NoiseFit) -> None:
     assert second_opinion(_with(fit, replace(bounded, high=fit["K"].low * 1.01)), fit) == ()
 
 
-def test_terms_of_one_fit_only_are_passed_over(fit: NoiseFit) -> None:
-    """A Q that only one fit has can't be compared."""
+def test_terms_of_only_one_fit_are_ignored(fit: NoiseFit) -> None:
     extra = Estimate(key="Q", symbol="Q", status="estimated", value=5.0, low=4.0, high=6.0)
     assert second_opinion(replace(fit, estimates=(extra, *fit.estimates)), fit) == ()
 
 
 @pytest.mark.slow
-def test_a_right_model_rarely_has_a_misfit() -> None:
-    """Of 15 records of N + K, at most 2 have a finding (three in a thousand are expected a term)."""
+def test_the_true_model_rarely_has_a_finding() -> None:
+    """At most 2 of 15 records of N + K have one (0.3 % per term are expected)."""
     model, rng = NoiseModel.parse("N=0.1 + K=1e-2"), np.random.default_rng(32)
     doubts = 0
     for _ in range(15):
@@ -91,7 +90,7 @@ def test_a_right_model_rarely_has_a_misfit() -> None:
 
 
 def test_behind_a_filter_the_terms_of_short_times_are_not_compared(fit: NoiseFit) -> None:
-    """The likelihood took the filter out, the curve holds it: N differs, and K still counts."""
+    """The likelihood removes the filter and the curve does not: N differs, while K is compared."""
     seen = Finding(level="info", code="output-filter", text="An output filter shapes the spectrum.")
     moved = replace(_with(fit, _moved(fit["N"], 1.1), 0.9), findings=(seen,))
     assert second_opinion(moved, fit) == ()
@@ -102,10 +101,10 @@ def test_behind_a_filter_the_terms_of_short_times_are_not_compared(fit: NoiseFit
 @pytest.mark.parametrize(
     ("own", "other", "variance"), [(0.01, 0.05, 0.04), (0.04, 0.05, 0.0125), (1e-7, 1e-6, 1 / 90_000)]
 )
-def test_a_distance_is_in_units_of_the_difference_of_variances(
+def test_a_distance_is_in_units_of_the_variance_of_the_difference(
     fit: NoiseFit, own: float, other: float, variance: float
 ) -> None:
-    """At least a quarter of the second's, and never below (1/300)²; 0 where one is not known."""
+    """The variance is at least a quarter of the second's and (1/300)²; an unknown distance is 0."""
     value = fit["N"].value
     assert value is not None
     moved = _moved(fit["N"], 1.5)
@@ -116,21 +115,21 @@ def test_a_distance_is_in_units_of_the_difference_of_variances(
     assert _distance(replace(first, parameters=("K",)), second, moved, fit["N"]) == 0.0
     unsure = replace(second, covariance=np.array([[np.inf]]))
     assert _distance(first, unsure, moved, fit["N"]) == 0.0
-    # Three times as wide an interval, and its covariance: a third of the distance.
+    # An interval three times as wide reduces the distance to a third.
     wider = replace(first, covariance=9 * first.covariance)
     assert _distance(wider, second, replace(moved, widening=3.0), fit["N"]) == pytest.approx(expected / 3)
 
 
 def _opinion(samples: FloatArray, rate_hz: float) -> tuple[NoiseFit, tuple[Finding, ...]]:
-    """Return the default fit of samples, and where the curve of what it fitted disagrees."""
+    """Return the default fit of samples, and the findings of the second opinion."""
     series = AxisSeries.from_samples(samples, rate_hz=rate_hz)
     first = fit_mle(series, allan_curve(series), FitSettings())
     return first, second_opinion(first, fit_of_curve(series, first))
 
 
 @pytest.mark.parametrize("name", first_by_default(["mean of 4", "held", "resonance"], 1))
-def test_the_curve_is_fitted_as_before_the_filter(name: str) -> None:
-    """Two records behind each; 24 of 1 000 000 samples a row: `tests/benchmarks/disturbances.py filters`."""
+def test_the_curve_is_corrected_for_the_filter(name: str) -> None:
+    """Two records per filter; `tests/benchmarks/disturbances.py filters` has 24 of 1 000 000 samples each."""
     from scipy.signal import lfilter
 
     model, pole = NoiseModel.parse("N=1e-4 + B=3e-5 + K=3e-6"), 0.95 * np.exp(0.4j * np.pi)
@@ -150,8 +149,8 @@ def test_the_curve_is_fitted_as_before_the_filter(name: str) -> None:
         assert first.noise_share[-1] == pytest.approx(1.0, abs=0.05)
 
 
-def test_the_share_of_the_noise_is_that_of_the_allan_variances() -> None:
-    """Of white noise averaged over four samples, by its autocovariance; and of a line, by its amplitude."""
+def test_the_noise_share_is_a_ratio_of_allan_variances() -> None:
+    """The references are the autocovariance of means of four samples, and the amplitude of a line."""
     rng = np.random.default_rng(35)
     n = 60_000
     white = rng.standard_normal(n + 3)
@@ -165,8 +164,8 @@ def test_the_share_of_the_noise_is_that_of_the_allan_variances() -> None:
             window = np.concatenate([np.full(m, -1.0), np.ones(m)]) / m
             spread = np.convolve(window, window[::-1])
             middle = spread.size // 2
-            held = sum(c * spread[middle + k] for c, k in zip(covariance, lag, strict=True)) / 2
-            assert share == pytest.approx(1 / m / held, rel=0.2 / m + 2e-3)
+            smoothed = sum(c * spread[middle + k] for c, k in zip(covariance, lag, strict=True)) / 2
+            assert share == pytest.approx(1 / m / smoothed, rel=0.2 / m + 2e-3)
     amplitude, omega = 0.3, 0.37
     first, _ = _opinion(white[:n] + amplitude * np.sin(omega * np.arange(n)), 1.0)
     assert first.noise_share is not None
@@ -175,8 +174,8 @@ def test_the_share_of_the_noise_is_that_of_the_allan_variances() -> None:
     np.testing.assert_allclose(first.noise_share[:6], (1 / m) / (1 / m + line), rtol=0.03)
 
 
-def test_what_the_fit_took_out_is_not_in_the_second_curve() -> None:
-    """A cycle and a step would have the curve disagree on K."""
+def test_removed_disturbances_are_not_in_the_second_curve() -> None:
+    """With a cycle and a step, the curve's K would disagree."""
     t = np.arange(60_000) / 10
     noise = NoiseModel.parse("N=1e-4 + K=1e-6").simulate(t.size, rate_hz=10.0, rng=np.random.default_rng(36))
     first, findings = _opinion(noise + 3e-4 * np.sin(t / 150) + 5e-4 * (t > 2000), 10.0)
@@ -185,8 +184,8 @@ def test_what_the_fit_took_out_is_not_in_the_second_curve() -> None:
 
 
 @pytest.mark.parametrize("seed", [37, 38])
-def test_a_tone_far_above_the_noise_costs_no_result(seed: int) -> None:
-    """5e-3 at rate/4 over white noise of 1.5e-4, 2732 samples at 40 Hz, once ended in an internal error."""
+def test_a_tone_far_above_the_noise_does_not_prevent_a_fit(seed: int) -> None:
+    """The tone is 5e-3 at rate/4, the white noise 1.5e-4, with 2732 samples at 40 Hz."""
     rng = np.random.default_rng(seed)
     samples = 1.5e-4 * rng.standard_normal(2732) + 5e-3 * np.sin(
         np.pi / 2 * np.arange(2732) + rng.uniform(0, 6)
@@ -200,8 +199,8 @@ def test_a_tone_far_above_the_noise_costs_no_result(seed: int) -> None:
     assert by_curve.goodness.statistic > 3 or by_curve.findings
 
 
-def test_a_curve_of_lines_alone_gives_no_second_opinion() -> None:
-    """The message says how few averaging times show the noise."""
+def test_a_curve_dominated_by_lines_has_no_second_opinion() -> None:
+    """The error states how few averaging times show the noise."""
     series = AxisSeries.from_samples(np.random.default_rng(39).standard_normal(3000), rate_hz=10.0)
     first = fit_mle(series, allan_curve(series), FitSettings())
     drowned = replace(first, noise_share=np.where(first.curve.m < 4, 1.0, 0.1))
@@ -209,8 +208,8 @@ def test_a_curve_of_lines_alone_gives_no_second_opinion() -> None:
         fit_of_curve(series, drowned)
 
 
-def test_a_covariance_of_no_noise_is_a_sentence() -> None:
-    """What the likelihood of a tone once gave: a negative variance, or none at all."""
+def test_an_impossible_covariance_raises_a_data_error() -> None:
+    """The likelihood of a tone can give a negative or undefined variance."""
     for broken in (-1.0, np.nan):
         with pytest.raises(
             DataError,

@@ -1,4 +1,4 @@
-"""The components of a model: compared with one dense conditioning, their laws, coverage of their errors."""
+"""Tests of the decomposition: agreement with dense conditioning, invariances, and coverage of the errors."""
 
 import re
 import time
@@ -16,7 +16,7 @@ from imucal.recording import AxisSeries
 from tests.fitting.state_space import StateSpace
 
 N = 300
-#: Models whose terms are independent at each ordinate, and models for which this is nearly true.
+#: Models whose terms are exactly, and approximately, independent at each ordinate.
 EXACT = [
     "N=1",
     "N=1 + R=0.1",
@@ -38,9 +38,9 @@ KINDS = ["none", "scattered", "gap", "one, then nothing"]
 def dense(
     states: StateSpace, samples: FloatArray, seen: BoolArray
 ) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Return each part's conditional mean and standard error by the n × n covariance; O(n³).
+    """Return each part's conditional mean and standard error from the n × n covariance; O(n³).
 
-    What is flat (a walk's start, level, slope) is a column of generalised least squares.
+    Constants (a walk's start, level, slope) are columns of generalised least squares.
     """
     n, t = samples.size, np.arange(samples.size, dtype=np.float64)
     lag, least = np.abs(np.subtract.outer(t, t)), np.minimum.outer(t, t)
@@ -76,7 +76,7 @@ def dense(
 
 
 def _missing(kind: str, rng: np.random.Generator) -> BoolArray:
-    """Return which of N samples are seen."""
+    """Return the mask of the N samples that are present."""
     seen = np.ones(N, dtype=bool)
     if kind == "scattered":
         seen = rng.random(N) > 0.2
@@ -89,7 +89,7 @@ def _missing(kind: str, rng: np.random.Generator) -> BoolArray:
 
 
 def _both(text: str, kind: str) -> Iterator[tuple[str, Component, FloatArray, FloatArray]]:
-    """Yield key, component, and the mean and standard error that one dense conditioning gives."""
+    """Yield key, component, and the mean and standard error from dense conditioning."""
     rng = np.random.default_rng(41)
     model = NoiseModel.parse(text)
     samples, seen = model.simulate(N, rate_hz=1.0, rng=rng), _missing(kind, rng)
@@ -102,8 +102,8 @@ def _both(text: str, kind: str) -> Iterator[tuple[str, Component, FloatArray, Fl
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("text", EXACT)
-def test_it_is_one_dense_conditioning(text: str, kind: str) -> None:
-    """Means and standard errors of every component, with samples missing anywhere."""
+def test_decomposition_agrees_with_dense_conditioning(text: str, kind: str) -> None:
+    """Means and standard errors of every component agree, wherever samples are missing."""
     for _, part, mean, error in _both(text, kind):
         npt.assert_allclose(part.value, mean, atol=1e-8)
         npt.assert_allclose(part.error, error, atol=1e-8)
@@ -111,12 +111,12 @@ def test_it_is_one_dense_conditioning(text: str, kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("text", NEARLY)
-def test_flicker_and_gauss_markov_are_nearly_one_dense_conditioning(text: str, kind: str) -> None:
-    """The difference is a fraction of the standard error, and largest at the ends of the record."""
+def test_flicker_and_gauss_markov_nearly_agree_with_dense_conditioning(text: str, kind: str) -> None:
+    """The difference is a fraction of the standard error and largest at the ends of the record."""
     for key, part, mean, error in _both(text, kind):
         inside = error > 0  # the ramp starts at 0
         away, ratio = (part.value - mean)[inside] / error[inside], part.error[inside] / error[inside]
-        # The parts differ more than their sum: in a record of 1.5 T, a level resembles Gauss-Markov noise.
+        # Parts differ more than their sum: in a record of 1.5 T, a level resembles Gauss-Markov noise.
         rms, least, most = (0.07, 0.97, 1.25) if key == "bias" else (0.5, 0.92, 1.35)
         found = float(np.sqrt(np.mean(away**2)))
         assert found < rms, f"{key}: {found}"
@@ -126,8 +126,10 @@ def test_flicker_and_gauss_markov_are_nearly_one_dense_conditioning(text: str, k
 
 @pytest.mark.parametrize("kind", KINDS[1:])
 @pytest.mark.parametrize("text", ["N=1 + K=0.1", "Q=1 + N=0.5 + K=0.05 + R=0.01", "Q=1 + K=0.01"])
-def test_many_missing_samples_are_drawn(text: str, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Conjugate gradients find the mean; the scatter of 30 draws is 13 % of the standard error."""
+def test_errors_with_many_missing_samples_are_sampled(
+    text: str, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Conjugate gradients give the mean; the scatter of 30 draws is 13 % of the standard error."""
     monkeypatch.setattr(wiener, "_DRAWS", (30, 30))
     for _, part, mean, error in _both(text, kind):
         assert np.abs(part.value - mean).max() < 2e-3 * error.max()
@@ -140,15 +142,15 @@ def _decomposed(text: str, n: int, seed: int, *, rate_hz: float = 10.0) -> Decom
     return decompose(AxisSeries.from_samples(samples, rate_hz=rate_hz), model)
 
 
-def test_the_bias_is_nearly_that_of_exact_flicker() -> None:
-    """The bias under exact flicker's covariance is the same within a tenth of its standard error or so."""
+def test_the_bias_nearly_agrees_with_exact_flicker() -> None:
+    """It differs by less than 0.15 standard errors from the bias with the exact flicker covariance."""
     from imucal.powerlaw import odd_harmonic
 
     model, rate = NoiseModel.parse("N=1 + B=0.5"), 10.0
     samples = model.simulate(N, rate_hz=rate, rng=np.random.default_rng(43))
     bias = decompose(AxisSeries.from_samples(samples, rate_hz=rate), model).bias
     lag = np.abs(np.subtract.outer(np.arange(N), np.arange(N)))
-    # A level is flat, so any constant may stand for flicker's variance.
+    # The level is free, so flicker's variance can be any constant.
     cross = 0.25 * (40 - 2 / np.pi * odd_harmonic(lag.astype(np.float64)))
     inverse = np.linalg.inv(cross + rate * np.eye(N))
     ones = np.ones(N)
@@ -158,7 +160,7 @@ def test_the_bias_is_nearly_that_of_exact_flicker() -> None:
 
 
 def test_the_parts_add_up_to_the_samples() -> None:
-    """Level, flicker, Gauss-Markov, ramp and residual: every sample, to rounding; gaps have no residual."""
+    """Level, flicker, Gauss-Markov, ramp and residual agree to rounding; gaps have no residual."""
     model = NoiseModel.parse("N=1 + B=0.5 + GM(sigma=0.5, T=20) + R=1e-3")
     samples = 9.81 + model.simulate(3000, rate_hz=10.0, rng=np.random.default_rng(44))
     keep = np.ones(3000, dtype=bool)
@@ -175,8 +177,8 @@ def test_the_parts_add_up_to_the_samples() -> None:
     assert parts["level"].value[0] == pytest.approx(9.81, abs=3 * parts["level"].error[0])
 
 
-def test_in_a_gap_the_walk_is_a_bridge() -> None:
-    """Given its ends, a walk runs straight between them, and is least sure in the middle."""
+def test_a_random_walk_is_a_bridge_in_a_gap() -> None:
+    """It is a straight line between the ends of the gap, with the largest error in the middle."""
     model, keep = NoiseModel.parse("N=0.01 + K=1"), np.ones(1000, dtype=bool)
     keep[400:600] = False
     samples = model.simulate(1000, rate_hz=1.0, rng=np.random.default_rng(45))
@@ -188,8 +190,7 @@ def test_in_a_gap_the_walk_is_a_bridge() -> None:
     assert bias.error.max() == pytest.approx(np.sqrt(201 / 4), rel=1e-3)
 
 
-def test_units_and_offsets_change_what_they_must() -> None:
-    """Samples and model in other units give parts in those; an offset goes into the level alone."""
+def test_units_scale_all_parts_and_offsets_change_the_level_only() -> None:
     model, small = NoiseModel.parse("N=1 + B=0.5"), NoiseModel.parse("N=1e-7 + B=5e-8")
     samples = model.simulate(2000, rate_hz=10.0, rng=np.random.default_rng(46))
     base = decompose(AxisSeries.from_samples(samples, rate_hz=10.0), model)
@@ -207,8 +208,8 @@ def test_units_and_offsets_change_what_they_must() -> None:
         ("Q=0.05 + N=1 + B=0.5 + K=0.05", ("bias",)),
     ],
 )
-def test_standard_errors_cover_what_was_simulated(text: str, keys: tuple[str, ...]) -> None:
-    """Of the true states, 95 % lie within 1.96 standard errors."""
+def test_standard_errors_have_the_nominal_coverage(text: str, keys: tuple[str, ...]) -> None:
+    """95 % of the true states are within 1.96 standard errors."""
     model, rng, n = NoiseModel.parse(text), np.random.default_rng(47), 4000
     inside = []
     for _ in range(30):
@@ -225,14 +226,14 @@ def test_standard_errors_cover_what_was_simulated(text: str, keys: tuple[str, ..
             np.abs(parts[key].value - truth[key])[200::400] < 1.96 * parts[key].error[200::400]
             for key in keys
         ]
-    # Slow states are nearly one number a record, so that it is records that count: four standard errors.
+    # Slow states hardly vary in a record, so the standard error is computed from records (four of them).
     shares = np.mean(inside, axis=1).reshape(30, -1).mean(axis=1)
     assert shares.mean() == pytest.approx(0.95, abs=4 * shares.std() / np.sqrt(30) + 0.005)
     assert shares.std() / np.sqrt(30) < 0.03
 
 
 def test_a_fit_is_decomposed_by_its_model() -> None:
-    """By what it found; spikes count as missing, unless they are to stay."""
+    """Spikes count as missing samples unless `clean=False`."""
     model = NoiseModel.parse("N=1e-3 + K=1e-4")
     samples = model.simulate(20_000, rate_hz=10.0, rng=np.random.default_rng(48))
     samples[[0, 5000]] = 5.0
@@ -248,7 +249,7 @@ def test_a_fit_is_decomposed_by_its_model() -> None:
     assert spoilt.samples[5000] == 5.0
 
 
-def test_the_cost_grows_with_the_samples_only() -> None:
+def test_the_cost_is_proportional_to_the_number_of_samples() -> None:
     """Ten times the samples take at most 20 times as long (CPU, best of two)."""
     seconds = []
     for n in (20_000, 200_000):
@@ -262,17 +263,16 @@ def test_the_cost_grows_with_the_samples_only() -> None:
     assert seconds[1] < 20 * seconds[0]
 
 
-def test_progress_is_reported() -> None:
-    """Up to all places."""
-    told: list[tuple[int, int]] = []
+def test_progress_is_reported_up_to_the_end() -> None:
+    reports: list[tuple[int, int]] = []
     samples = np.random.default_rng(50).standard_normal(1000)
     series = AxisSeries.from_samples(samples, rate_hz=1.0)
-    decompose(series, NoiseModel.parse("N=1"), progress=lambda done, total: told.append((done, total)))
-    assert told[-1] == (1000, 1000)
+    decompose(series, NoiseModel.parse("N=1"), progress=lambda done, total: reports.append((done, total)))
+    assert reports[-1] == (1000, 1000)
 
 
-def test_refuses_a_model_of_another_rate() -> None:
-    """A fit of one log and the samples of another are a mistake."""
+def test_a_fit_of_another_rate_is_rejected() -> None:
+    """The fit of one log must not be applied to the samples of another."""
     samples = np.random.default_rng(51).standard_normal(2000)
     found = fit(AxisSeries.from_samples(samples, rate_hz=50.0), model="N")
     message = "gyro_x: samples at 100 Hz, but the fit is for 50 Hz"
@@ -281,15 +281,14 @@ def test_refuses_a_model_of_another_rate() -> None:
 
 
 @pytest.mark.parametrize("model", ["N=0", "N=0 + R=0", "N=0 + R=1"])
-def test_refuses_silence(model: str) -> None:
-    """There is nothing to tell apart."""
+def test_a_model_without_noise_is_rejected(model: str) -> None:
     series = AxisSeries.from_samples(np.arange(9.0), rate_hz=1.0)
     with pytest.raises(DataError, match="gyro_x: the model has no noise, so there is nothing to separate"):
         decompose(series, NoiseModel.parse(model))
 
 
-def test_refuses_a_record_of_nearly_nothing() -> None:
-    """Fewer than two samples, or a gap twenty times as long as all of them."""
+def test_a_nearly_empty_record_is_rejected() -> None:
+    """It has fewer than two samples, or more than 20 times as many missing samples."""
     model = NoiseModel.parse("N=1")
     with pytest.raises(DataError, match=r"^gyro_x: a decomposition needs at least 2 samples, got 1$"):
         decompose(AxisSeries.from_samples(np.array([1.0, np.nan]), rate_hz=1.0), model)
@@ -301,14 +300,13 @@ def test_refuses_a_record_of_nearly_nothing() -> None:
         decompose(sparse, model, clean=False)
 
 
-def test_an_unknown_part_is_named() -> None:
-    """With those that there are."""
+def test_the_error_for_an_unknown_part_lists_the_parts() -> None:
     with pytest.raises(KeyError, match="'K'; the decomposition has level, B, bias"):
         _ = _decomposed("N=1 + B=1", 100, 52)["K"]
 
 
-def test_missing_samples_that_are_not_found_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Conjugate gradients that stop too early would give wrong numbers."""
+def test_conjugate_gradients_that_do_not_converge_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The numbers would be wrong."""
     monkeypatch.setattr(wiener, "_STEPS", 3)
     monkeypatch.setattr(wiener, "_DRAWS", (12, 12))
     keep = np.random.default_rng(53).random(2000) < 0.5
@@ -320,8 +318,8 @@ def test_missing_samples_that_are_not_found_are_an_error(monkeypatch: pytest.Mon
         decompose(series, NoiseModel.parse("Q=1 + N=0.1 + K=0.1"), clean=False)
 
 
-def test_units_change_nothing_with_many_gaps() -> None:
-    """Conjugate gradients stop at a share of the standard error, in any unit."""
+def test_units_do_not_matter_with_many_gaps() -> None:
+    """Conjugate gradients stop at a fraction of the standard error, in every unit."""
     model, small = NoiseModel.parse("N=1 + B=0.5"), NoiseModel.parse("N=1e-7 + B=5e-8")
     rng = np.random.default_rng(54)
     samples, keep = model.simulate(2000, rate_hz=10.0, rng=rng), rng.random(2000) < 0.7

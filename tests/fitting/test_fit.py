@@ -1,4 +1,4 @@
-"""The facade: fit(series) by every method."""
+"""Tests of the facade: fit(series) with every method."""
 
 import importlib
 import re
@@ -22,7 +22,7 @@ def series(seed: int = 1) -> AxisSeries:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_reports_n_b_and_k(method: str) -> None:
-    """The contract of a fit: N, B and K with limits, the curve, the level, the method's name."""
+    """A fit contains N, B and K with limits, the curve, the level and the name of the method."""
     result = fit(series(), method=method)
     assert result.method == method
     assert result.level == 0.95
@@ -34,15 +34,14 @@ def test_every_method_reports_n_b_and_k(method: str) -> None:
     assert result["N"].value == pytest.approx(1e-3, rel=0.05)
 
 
-def test_passes_a_curve_on() -> None:
-    """A curve that was computed already is not computed again."""
+def test_a_given_curve_is_not_computed_again() -> None:
     data = series()
     curve = allan_curve(data, taus="decade")
     assert fit(data, curve=curve).curve is curve
 
 
-def test_spikes_are_replaced_counted_and_gone_from_the_curve() -> None:
-    """Spikes of a hundred standard deviations change N by less than 1 %, and are reported."""
+def test_spikes_are_replaced_and_reported() -> None:
+    """Spikes of a hundred standard deviations hardly change N and are not in the curve."""
     data = series()
     samples = data.samples.copy()
     places = np.random.default_rng(2).choice(N, 40, replace=False)
@@ -56,7 +55,6 @@ def test_spikes_are_replaced_counted_and_gone_from_the_curve() -> None:
 
 
 def test_a_cleaned_series_keeps_the_averaging_times_of_its_curve() -> None:
-    """The curve of the cleaned samples stands at the same times as the one that was given."""
     data = series()
     samples = data.samples.copy()
     samples[1234] += 1.0
@@ -65,8 +63,7 @@ def test_a_cleaned_series_keeps_the_averaging_times_of_its_curve() -> None:
     np.testing.assert_array_equal(fit(wild, curve=given).curve.m, given.m)
 
 
-def test_temperature_goes_with_the_samples_that_are_finite() -> None:
-    """Samples that are not finite take their temperature with them."""
+def test_the_temperature_of_non_finite_samples_is_dropped() -> None:
     data = series()
     samples = data.samples.copy()
     samples[100:105] = np.nan
@@ -75,8 +72,8 @@ def test_temperature_goes_with_the_samples_that_are_finite() -> None:
     assert result["N"].value == pytest.approx(1e-3, rel=0.05)
 
 
-def test_a_line_is_named_and_left_out() -> None:
-    """A tone of the size of the noise does not change N, and its frequency is in a sentence."""
+def test_a_line_is_reported_and_excluded() -> None:
+    """A tone as large as the noise does not change N."""
     data = series()
     tone = 5e-3 * np.sin(2 * np.pi * 12.34 * np.arange(N) / 100)
     result = fit(AxisSeries.from_samples(data.samples + tone, rate_hz=100.0), model="N + K")
@@ -98,28 +95,33 @@ def test_a_line_is_named_and_left_out() -> None:
         ({"segments": 65}, "segments must be from 1 (not compared) to 64, got 65"),
     ],
 )
-def test_a_setting_that_is_not_known_is_refused(setting: dict[str, Any], message: str) -> None:
-    """Where it is given: nothing is read or computed before."""
+def test_unknown_settings_are_rejected(setting: dict[str, Any], message: str) -> None:
+    """The error is raised before any calculation."""
     with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
         FitSettings(**setting)
 
 
-def test_a_curve_alone_is_too_little_for_maximum_likelihood() -> None:
-    """The message names the methods that can do with a curve."""
+def test_maximum_likelihood_rejects_a_curve() -> None:
+    """The error lists the methods that accept a curve."""
     with pytest.raises(ValueError, match=r"^maximum likelihood needs the samples, got an Allan curve; use "):
         fit(allan_curve(series()))
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_every_method_is_in_its_listed_place(method: str) -> None:
-    """A new method is a file and a line of the table; its folder has to offer the function."""
+def test_every_method_is_importable_from_its_folder(method: str) -> None:
+    """A new method needs a file, a line in the table, and an export in its folder."""
     folder, function = METHODS[method]
     offered = importlib.import_module(folder)
     assert function in offered.__all__, f"{method}: {folder}/__init__.py has to offer {function}"
 
 
-def test_what_is_not_asked_for_is_decided_so() -> None:
-    """The defaults of the facade and of the command line."""
-    asked = FitSettings()
-    assert (asked.model, asked.method, asked.level, asked.criterion) == ("auto", "mle", 0.95, "chance")
-    assert (asked.weights, asked.max_gm, asked.clean) == ("full", 2, True)
+def test_the_default_settings() -> None:
+    """The facade and the command line share these defaults."""
+    defaults = FitSettings()
+    assert (defaults.model, defaults.method, defaults.level, defaults.criterion) == (
+        "auto",
+        "mle",
+        0.95,
+        "chance",
+    )
+    assert (defaults.weights, defaults.max_gm, defaults.clean) == ("full", 2, True)

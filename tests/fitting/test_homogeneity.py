@@ -1,4 +1,4 @@
-"""What follows from the segments of a record: Q, the Birge ratio, wider intervals, the finding."""
+"""Tests of imucal.fitting.homogeneity: Cochran's Q, the Birge ratio, wider intervals and the finding."""
 
 from dataclasses import replace
 
@@ -44,13 +44,13 @@ def estimate(key: str, value: float, low: float, high: float) -> Estimate:
     return Estimate(key=key, symbol=symbol, status="estimated", value=value, low=low, high=high)
 
 
-def test_cochran_q_is_the_weighted_square_about_the_weighted_mean() -> None:
-    """By hand: values 0, 1 and weights 1, 3 have mean 3/4 and Q = 9/16 + 3/16."""
+def test_cochran_q_is_the_weighted_sum_of_squares_about_the_weighted_mean() -> None:
+    """By hand: the values 0 and 1 with weights 1 and 3 have the mean 3/4, so Q = 9/16 + 3/16."""
     assert cochran_q(np.array([0.0, 1.0]), np.array([1.0, 3.0])) == pytest.approx(0.75)
 
 
 def test_q_does_not_depend_on_the_unit_or_the_order() -> None:
-    """A factor is a shift of the logs; segments may stand in any order."""
+    """A change of unit shifts all logarithms; Q is invariant under a shift and a permutation."""
     rng = np.random.default_rng(11)
     logs, weight = rng.standard_normal(8), rng.uniform(1, 5, 8)
     order = rng.permutation(8)
@@ -59,8 +59,8 @@ def test_q_does_not_depend_on_the_unit_or_the_order() -> None:
     assert cochran_q(logs[order], weight[order]) == pytest.approx(q)
 
 
-def test_bartlett_correction_is_scipys() -> None:
-    """The corrected likelihood ratio of equal variances is Bartlett's statistic of the same samples."""
+def test_bartlett_correction_agrees_with_scipy() -> None:
+    """The corrected likelihood ratio of equal variances equals Bartlett's statistic of the same samples."""
     rng = np.random.default_rng(12)
     sizes = (4, 6, 9, 12)
     samples = [rng.standard_normal(size) * scale for size, scale in zip(sizes, (1, 2, 1, 3), strict=True)]
@@ -71,16 +71,16 @@ def test_bartlett_correction_is_scipys() -> None:
     assert ratio / bartlett_correction(freedom / 2) == pytest.approx(bartlett(*samples).statistic)
 
 
-def test_birge_ratio_where_chance_does_not_explain_q_and_one_where_it_does() -> None:
-    """sqrt(Q/dof) beyond the quantile of CHANCE, else no widening; the p-value is that of chi-squared."""
+def test_the_factor_is_the_birge_ratio_only_if_q_is_significant() -> None:
+    """The factor is sqrt(Q/dof) above the quantile of CHANCE and 1 below; the p-value is from chi-squared."""
     limit = float(chi2.isf(CHANCE, 7))
     assert term("N", 1.001 * limit).factor == pytest.approx(np.sqrt(1.001 * limit / 7))
     assert term("N", 0.999 * limit).factor == 1.0
     assert term("N", 20.0).p_value == pytest.approx(chi2.sf(20.0, 7))
 
 
-def test_spread_is_that_between_segments_less_chance() -> None:
-    """Of values that spread by s and are each known to e, the method of moments finds s within its error."""
+def test_spread_excludes_the_measurement_errors() -> None:
+    """The method of moments recovers the spread 0.3 of values with measurement errors of 0.1."""
     rng = np.random.default_rng(13)
     found = []
     for _ in range(200):
@@ -91,15 +91,14 @@ def test_spread_is_that_between_segments_less_chance() -> None:
     assert np.mean(found) == pytest.approx(0.3**2, rel=4 * np.sqrt(2 / 7 / 200) * 0.1 / 0.09)
 
 
-def test_names_when_a_term_is_largest_and_smallest() -> None:
-    """The spans of the segments with the largest and the smallest value."""
+def test_the_spans_of_the_largest_and_smallest_value_are_reported() -> None:
     found = homogeneity("N", 99.0, np.array([0.0, 2.0, -1.0]), np.ones(3), spans(3))
     assert found.highest_s == (100.0, 200.0)
     assert found.lowest_s == (200.0, 300.0)
 
 
 def test_a_narrow_interval_is_widened_about_the_logarithm() -> None:
-    """Both limits move by the factor in the logarithm, and never reach zero."""
+    """Both limits move by the factor in the logarithm, so neither reaches zero."""
     (found,) = widened([estimate("N", 1.0, 0.99, 1.02)], segments(term("N", 700.0)))
     assert found.low == pytest.approx(0.99**10)
     assert found.high == pytest.approx(1.02**10)
@@ -108,7 +107,7 @@ def test_a_narrow_interval_is_widened_about_the_logarithm() -> None:
 
 
 def test_a_wide_interval_is_widened_about_the_value_and_may_reach_zero() -> None:
-    """What then reaches zero is bounded by the wider limit."""
+    """If the lower limit reaches zero, the term becomes an upper bound with the wider limit."""
     four = segments(term("K", 28.0))
     (found,) = widened([estimate("K", 1.0, 0.7, 1.5)], four)
     npt.assert_allclose([found.low, found.high], [0.4, 2.0])
@@ -118,27 +117,26 @@ def test_a_wide_interval_is_widened_about_the_value_and_may_reach_zero() -> None
 
 
 def test_white_noise_keeps_its_value_however_much_it_changes() -> None:
-    """A jump of the noise widens N's interval, and does not make N vanish."""
+    """A large change of the noise widens N's interval but never turns N into a bound."""
     (found,) = widened([estimate("N", 1.0, 0.7, 1.4)], segments(term("N", 7000.0)))
     assert found.value == 1.0
     npt.assert_allclose([found.low, found.high], [0.7 ** np.sqrt(1000), 1.4 ** np.sqrt(1000)])
 
 
-def test_a_bound_is_raised() -> None:
-    """A bound is the factor times as high."""
+def test_an_upper_bound_is_multiplied_by_the_factor() -> None:
     (found,) = widened([Estimate.bounded("K", "K", 3.0)], segments(term("K", 28.0)))
     assert (found.low, found.high, found.widening) == (0.0, 6.0, 2.0)
 
 
 def test_slow_terms_are_widened_together_and_white_noise_by_itself() -> None:
-    """Which slow terms changed is not told; white noise is not blamed for them."""
+    """Segments cannot separate the slow terms, so all get the same factor; white noise has its own."""
     terms = [estimate(key, 1.0, 0.9, 1.1) for key in ("N", "B", "GM1", "K", "R")]
     found = {e.key: e.widening for e in widened(terms, segments(term("N", 1.0), term("B", 28.0)))}
     assert found == {"N": 1.0, "B": 2.0, "GM1": 2.0, "K": 2.0, "R": 2.0}
 
 
 def test_correlation_time_is_widened_too() -> None:
-    """In the logarithm, by the same factor."""
+    """The limits of the correlation time are widened in the logarithm by the term's factor."""
     time = Interval(value=10.0, low=5.0, high=20.0)
     given = Estimate(
         key="GM", symbol="GM", status="estimated", value=1.0, low=0.9, high=1.1, correlation_time=time
@@ -148,8 +146,8 @@ def test_correlation_time_is_widened_too() -> None:
     npt.assert_allclose([found.correlation_time.low, found.correlation_time.high], [2.5, 40.0])
 
 
-def test_the_larger_of_segments_and_misfit_counts() -> None:
-    """Not their product: what changes over time is one reason why a model does not fit."""
+def test_the_larger_factor_of_segments_and_misfit_applies() -> None:
+    """The factors are not multiplied, because a change over time also causes a misfit."""
     terms = [estimate(key, 1.0, 0.9, 1.1) for key in ("N", "B")]
     changing = segments(term("N", 28.0), term("B", 28.0))
     found = {e.key: e.widening for e in widened(terms, changing, {"N": 1.5, "B": 3.0})}
@@ -160,7 +158,7 @@ def test_the_larger_of_segments_and_misfit_counts() -> None:
 
 
 def test_a_limit_beyond_the_largest_float_is_infinite() -> None:
-    """A wide interval and a large factor once ended in an OverflowError."""
+    """A wide interval with a large factor must not raise OverflowError."""
     (found,) = widened([estimate("N", 1.0, 1e-3, 1e3)], None, {"N": 200.0})
     assert (found.low, found.high, found.widening) == (0.0, np.inf, 200.0)
     time = Interval(value=1.0, low=1e-3, high=1e3)
@@ -169,15 +167,15 @@ def test_a_limit_beyond_the_largest_float_is_infinite() -> None:
     assert (found.correlation_time.low, found.correlation_time.high) == (0.0, np.inf)
 
 
-def test_covariance_is_that_of_the_wider_intervals() -> None:
-    """Standard errors grow by the factors, correlations stay."""
+def test_covariance_is_scaled_like_the_intervals() -> None:
+    """Standard errors grow by the factors and the correlations stay the same."""
     covariance = np.array([[4.0, 1.0], [1.0, 9.0]])
     found = widened_covariance(("N", "GM2.T"), covariance, segments(term("N", 63.0), term("GM2", 28.0)))
     npt.assert_allclose(found, covariance * np.outer([3, 2], [3, 2]))
 
 
-def test_stationary_segments_and_none_change_nothing() -> None:
-    """Neither limits, nor covariance, nor a word."""
+def test_stationary_or_missing_segments_change_nothing() -> None:
+    """The limits and the covariance stay the same, and there is no finding."""
     given = (estimate("N", 1.0, 0.9, 1.1),)
     for found in (None, segments(term("N", 3.0))):
         assert widened(given, found) == given
@@ -185,8 +183,7 @@ def test_stationary_segments_and_none_change_nothing() -> None:
         assert nonstationary_finding(found, None, "gyro_x") == ()
 
 
-def test_finding_names_term_factor_and_times() -> None:
-    """Everything the reader needs to look there."""
+def test_the_finding_contains_term_factor_and_times() -> None:
     (found,) = nonstationary_finding(segments(term("N", 700.0)), None, "gyro_x")
     assert (found.code, found.axis, found.level) == ("nonstationary", "gyro_x", "warning")
     assert "largest from 11.7 to 13.3 min, smallest from 0 to 100 s" in found.text
@@ -194,7 +191,7 @@ def test_finding_names_term_factor_and_times() -> None:
 
 
 def test_a_small_spread_is_reported_without_a_warning() -> None:
-    """What is sure and small widens the interval; it is no reason to look."""
+    """A significant but small change widens the interval, yet its finding has the level info."""
     logs = 0.01 * np.array([0, 1, 0, 1, 0, 1, 0, 1.0])
     weight = np.full(8, 1e6)
     small = homogeneity("N", cochran_q(logs, weight), logs, weight, spans(8))
@@ -203,7 +200,7 @@ def test_a_small_spread_is_reported_without_a_warning() -> None:
 
 
 def test_a_swing_is_reported_with_and_without_its_period() -> None:
-    """Also where segments show nothing."""
+    """The finding does not depend on the segments."""
     swing = VarianceChange(score=9.0, low=0.4, high=1.7, period_s=30.0)
     (found,) = nonstationary_finding(None, swing, "gyro_x")
     assert found.level == "warning"
@@ -213,8 +210,7 @@ def test_a_swing_is_reported_with_and_without_its_period() -> None:
     assert "changes over time" in found.text
 
 
-def test_an_unknown_key_names_those_that_were_tested() -> None:
-    """As of a fit."""
+def test_the_error_for_an_unknown_key_lists_the_tested_terms() -> None:
     found = segments(term("N", 1.0), term("B", 1.0))
     assert found["B"].key == "B"
     with pytest.raises(KeyError, match="N, B"):
@@ -236,8 +232,8 @@ LEVELS = np.array([0, 0, 0, 0.3, 1, 1, 1, 1]) * np.log(1.3)
         (np.zeros(8), False),
     ],
 )
-def test_one_shift_is_named(logs: np.ndarray, *, shifts: bool) -> None:
-    """Two levels, and one segment between them; what changes otherwise has no shift."""
+def test_only_one_shift_between_two_levels_is_reported(logs: np.ndarray, *, shifts: bool) -> None:
+    """A shift has two levels and at most one segment between them; other changes have no shift."""
     weight = np.full(8, 1e4)
     noisy = logs + 0.01 * np.random.default_rng(5).standard_normal(8)
     found = homogeneity("N", cochran_q(noisy, weight), noisy, weight, spans(8))
@@ -249,8 +245,8 @@ def test_one_shift_is_named(logs: np.ndarray, *, shifts: bool) -> None:
         assert f"N shifts once, at about {time / 60:.3g} min, to {factor:.3g} times" in finding.text
 
 
-def test_the_time_of_a_shift_lies_inside_its_segment() -> None:
-    """The variance of the segment is the mean of before and after by their shares: 30 of its 100 s before."""
+def test_the_time_of_a_shift_is_interpolated_in_its_segment() -> None:
+    """The segment's variance is the mean of both levels by duration: 30 of its 100 s precede the shift."""
     logs = np.log(np.array([1, 1, 1, 0.3 + 0.7 * 4, 4, 4, 4, 4])) / 2
     weight = np.full(8, 1e4)
     found = homogeneity("N", cochran_q(logs, weight), logs, weight, spans(8))
@@ -259,13 +255,13 @@ def test_the_time_of_a_shift_lies_inside_its_segment() -> None:
 
 
 def test_a_weak_term_has_no_shift() -> None:
-    """What single segments do not tell changes in the eyes of the likelihood alone."""
+    """If single segments estimate the term poorly, the change is no evidence of a shift."""
     assert homogeneity("B", 60.0, 3 * LEVELS, np.full(8, 40.0), spans(8)).shift is None
 
 
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
 def test_a_period_depends_on_the_shape_of_the_logarithms_only(size: float) -> None:
-    """A cosine of 12 periods has its period, white noise has none, whatever their size."""
+    """A cosine with 12 periods has a period and white noise has none, at every amplitude."""
     places = np.arange(256)
     cosine = np.cos(2 * np.pi * 12 * places / 256)
     white = np.random.default_rng(8).standard_normal(256)

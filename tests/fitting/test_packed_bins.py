@@ -1,4 +1,4 @@
-"""Bins as a few kilobytes: what rounding costs, what the bytes hold, and what is refused."""
+"""Tests of packed bins: rounding, size, content and rejected data."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -33,8 +33,8 @@ def _same_fit(bins: Bins, model: tuple[str, ...] = ("N", "B", "K"), rtol: float 
 
 
 @pytest.mark.parametrize("model", ["N + B + K", "N + K + R"])
-def test_a_pool_of_packed_bins_is_the_fit_of_one_record_with_long_gaps(model: str) -> None:
-    """To 1e-6, as that of the bins themselves."""
+def test_a_pool_of_packed_bins_agrees_with_one_fit_of_all_records(model: str) -> None:
+    """The reference is one record with long gaps between the parts; unpacked bins also agree to 1e-6."""
     parts = [simulated("N=1e-3 + K=4e-4", n, 5, n) for n in (6000, 4000, 7500)]
     whole = fit_of(one_record(parts), model)
     pooled = imucal.pool([_packed(fit_of(part, model)) for part in parts], model=model)
@@ -45,22 +45,22 @@ def test_a_pool_of_packed_bins_is_the_fit_of_one_record_with_long_gaps(model: st
 
 
 @pytest.mark.parametrize(("n", "most"), [(1_000, 3_100), (10_000, 5_100), (100_000, 7_150)])
-def test_an_axis_takes_seven_kilobytes(n: int, most: int) -> None:
-    """And the fit of what is read back is the same."""
+def test_packed_bins_of_an_axis_have_at_most_seven_kilobytes(n: int, most: int) -> None:
+    """The fit of the unpacked bins is the same."""
     bins = bins_from(simulated(MIXED, n, 72))
     assert len(pack(bins)) < most
     _same_fit(bins)
 
 
-def test_a_drift_far_above_the_noise_does_not_swamp_it() -> None:
+def test_a_drift_far_above_the_noise_does_not_change_the_fit() -> None:
     """The ramp's square is 1e8 of the noise in the lowest ordinate, so double precision limits the fit."""
     for seed in range(73, 78):
         samples = simulated("N=1e-3 + K=1e-4", 5000, seed) + 1e2 * np.linspace(0, 1, 5000)
         _same_fit(bins_from(samples), ("N", "K", "R"), rtol=2e-5)
 
 
-def test_what_a_fit_took_out_and_gaps_are_kept() -> None:
-    """A temperature's effect, a step, a short gap that is completed, and a long one between blocks."""
+def test_regressors_and_gaps_are_kept() -> None:
+    """The record has a temperature effect, a step, a completed short gap and a long gap between blocks."""
     rng = np.random.default_rng(74)
     n = 12_000
     temperature = 25 + 5 * np.sin(np.arange(n) / 2500) + 0.01 * rng.standard_normal(n)
@@ -83,8 +83,7 @@ def test_what_a_fit_took_out_and_gaps_are_kept() -> None:
     npt.assert_allclose(again.size, bins.size, rtol=1e-6)
 
 
-def test_packing_what_was_packed_changes_nothing_that_matters() -> None:
-    """A second rounding changes the last digit at most."""
+def test_packing_again_changes_the_last_digit_at_most() -> None:
     once = unpack(pack(bins_from(simulated(MIXED, 3000, 76))))
     npt.assert_allclose(unpack(pack(once)).power, once.power, rtol=2e-6)
 
@@ -106,8 +105,8 @@ def test_a_store_with_bins_of_another_version_is_fitted_again() -> None:
         (lambda data: data[:200] + b"??" + data[202:], "found damaged bytes"),
     ],
 )
-def test_other_versions_and_damage_are_refused(change: Callable[[bytes], bytes], text: str) -> None:
-    """In a sentence, and never as other numbers."""
+def test_other_versions_and_damage_are_rejected(change: Callable[[bytes], bytes], text: str) -> None:
+    """The error is a DataError; wrong numbers are never returned."""
     data = pack(bins_from(simulated("N=1", 500, 78)))
     with pytest.raises(DataError, match=text):
         unpack(change(data))

@@ -1,4 +1,4 @@
-"""Spikes and rounding."""
+"""Tests of the detection of spikes and of rounding."""
 
 import time
 from dataclasses import replace
@@ -21,7 +21,7 @@ def _series(samples: FloatArray) -> AxisSeries:
 
 
 def spikes(samples: FloatArray) -> NDArray[np.bool_]:
-    """Return which samples are spikes."""
+    """Return the mask of the spikes."""
     return find_spikes(samples)[0]
 
 
@@ -29,8 +29,8 @@ def _noise(n: int, seed: int) -> FloatArray:
     return NoiseModel.parse("N=0.1 + K=1e-2").simulate(n, rate_hz=100.0, rng=np.random.default_rng(seed))
 
 
-def test_clean_data_is_returned_as_it_is() -> None:
-    """The very same object, and no finding."""
+def test_clean_data_is_returned_unchanged() -> None:
+    """The result is the same object, and there is no finding."""
     series = _series(_noise(100_000, 1))
     same, findings = clean(series)
     assert same is series
@@ -38,14 +38,14 @@ def test_clean_data_is_returned_as_it_is() -> None:
 
 
 def test_gaussian_noise_has_no_spikes() -> None:
-    """Of 200 records one per cent may have one; more than 8 would be beyond three standard errors."""
+    """The false alarm rate is 1 %; more than 8 of 200 records is beyond three standard errors."""
     rng = np.random.default_rng(2)
     assert sum(bool(spikes(rng.standard_normal(5000)).any()) for _ in range(200)) <= 8
 
 
 @pytest.mark.parametrize(("share", "size"), [(1e-3, 10), (1e-3, 100), (1e-2, 10), (1e-2, 100), (5e-2, 10)])
-def test_spikes_do_not_reach_the_noise(share: float, size: float) -> None:
-    """White noise keeps its deviation to 1 % after cleaning, where spikes had made it up to ten times it."""
+def test_cleaning_restores_the_white_noise(share: float, size: float) -> None:
+    """Its deviation is right to 1 % after cleaning; the spikes had raised it up to tenfold."""
     rng = np.random.default_rng(3)
     samples = _noise(200_000, 4)
     hit = rng.random(samples.size) < share
@@ -58,15 +58,15 @@ def test_spikes_do_not_reach_the_noise(share: float, size: float) -> None:
 
 
 def test_spikes_are_measured_from_the_baseline_not_from_zero() -> None:
-    """Gravity on the axis, or none, or its opposite: the same samples are spikes."""
+    """The same samples are spikes whether the axis measures gravity or not."""
     samples = _noise(5_000, 8)
     samples[[70, 4000]] += 30.0
     for level in (0.0, 9.8, -9.8):
         assert np.flatnonzero(spikes(samples + level)).tolist() == [70, 4000]
 
 
-def test_the_finding_counts_and_warns_above_one_per_cent() -> None:
-    """Its text has the count, the share and the largest."""
+def test_the_finding_of_spikes_is_a_warning_above_one_per_cent() -> None:
+    """It contains the count, the share and the largest spike."""
     samples = np.random.default_rng(5).standard_normal(10_000)
     samples[1234] += 50
     _, (finding,) = clean(_series(samples))
@@ -80,29 +80,28 @@ def test_the_finding_counts_and_warns_above_one_per_cent() -> None:
     assert finding.advice == "Look for loose wiring, a shared bus or a moving sensor."
 
 
-def test_cleaning_is_the_same_every_time() -> None:
-    """The noise that replaces spikes is drawn from a fixed seed."""
+def test_cleaning_is_deterministic() -> None:
+    """The noise that replaces spikes is drawn with a fixed seed."""
     samples = _noise(10_000, 6)
     samples[::500] += 30
     npt.assert_array_equal(clean(_series(samples))[0].samples, clean(_series(samples))[0].samples)
 
 
 @pytest.mark.parametrize("samples", [np.zeros(1000), np.arange(5.0), np.zeros(0), np.ones(1)])
-def test_nothing_is_found_where_there_is_nothing_to_see(samples: FloatArray) -> None:
-    """Constant, few and no samples have no spikes."""
+def test_constant_or_few_samples_have_no_spikes(samples: FloatArray) -> None:
     assert not spikes(samples).any()
 
 
-def test_a_coarse_step_is_no_spike_but_a_real_one_is() -> None:
-    """Samples that mostly stand on one value, rounded to steps of four standard deviations."""
+def test_a_coarse_resolution_step_is_not_a_spike() -> None:
+    """Most samples have the same value after rounding to four standard deviations; a real spike is found."""
     samples = np.round(np.random.default_rng(7).standard_normal(20_000) / 4) * 4
     assert not spikes(samples).any()
     samples[100] = 400
     assert spikes(samples).sum() == 1
 
 
-def test_a_million_samples_are_quick() -> None:
-    """No more than ten times a sort of the same samples (CPU; it is about three)."""
+def test_cleaning_takes_at_most_ten_times_a_sort() -> None:
+    """The measured CPU time is about three times a sort of the same samples."""
     series = _series(np.random.default_rng(8).standard_normal(1_000_000))
     begin = time.process_time()
     np.sort(series.samples)
@@ -114,7 +113,7 @@ def test_a_million_samples_are_quick() -> None:
 
 @pytest.mark.parametrize("step", [0.25, 1.0, 1.5])
 def test_the_step_of_rounded_samples_is_found(step: float) -> None:
-    """Also about an offset in single precision; samples that aren't rounded have none."""
+    """It is also found with an offset in single precision; samples that are not rounded have none."""
     samples = np.round(np.random.default_rng(9).standard_normal(50_000) / step) * step
     assert step_size(samples) == pytest.approx(step)
     single = (samples + 9.8).astype(np.float32).astype(np.float64)
@@ -123,8 +122,8 @@ def test_the_step_of_rounded_samples_is_found(step: float) -> None:
 
 
 @pytest.mark.parametrize(("step", "known"), [(0.5, True), (1.0, True), (1.6, True), (5.0, False)])
-def test_rounding_is_taken_out_of_n(step: float, *, known: bool) -> None:
-    """N² - LSB² tau0 / 12 is the sensor's N² to 2 % down to LSB = 1.6 sigma (Sheppard)."""
+def test_the_contribution_of_rounding_to_n_is_subtracted(step: float, *, known: bool) -> None:
+    """N² - LSB² tau0 / 12 is the sensor's N² to 2 % for steps up to LSB = 1.6 sigma (Sheppard)."""
     samples = np.round(np.random.default_rng(10).standard_normal(200_000) / step) * step
     (finding,) = resolution_effect(_series(samples), float(samples.std()) / 10)
     assert finding.code == "rounding"
@@ -137,14 +136,13 @@ def test_rounding_is_taken_out_of_n(step: float, *, known: bool) -> None:
     assert corrected == pytest.approx(0.1, rel=0.02)
 
 
-def test_fine_steps_are_not_worth_a_word() -> None:
+def test_fine_steps_have_no_finding() -> None:
     """A step of a quarter of the noise adds half a per cent to N²."""
     samples = np.round(np.random.default_rng(11).standard_normal(50_000) * 4) / 4
     assert resolution_effect(_series(samples), 0.1) == ()
 
 
-def test_an_accelerometer_has_its_own_unit() -> None:
-    """The text reads as a person would write it."""
+def test_the_finding_of_rounding_uses_the_unit_of_the_sensor() -> None:
     series = _series(np.round(np.random.default_rng(12).standard_normal(100_000)))
     series = replace(series, sensor=type(series.sensor)("accelerometer"))
     (finding,) = resolution_effect(series, 0.1041)
@@ -154,8 +152,8 @@ def test_an_accelerometer_has_its_own_unit() -> None:
     )
 
 
-def test_the_baseline_runs_straight_between_medians_and_level_at_the_ends() -> None:
-    """Of blocks of 100 at 0, 10 and 30, the last with 50 more: half a block on each side stays level."""
+def test_the_baseline_interpolates_medians_and_is_constant_at_the_ends() -> None:
+    """Blocks of 100 samples at 0, 10 and 30, the last with 50 more, have constant ends of half a block."""
     samples = np.repeat([0.0, 10.0, 30.0, 99.0], [100, 100, 100, 50])
     baseline = _baseline(samples)
     expected = np.interp(np.arange(350), [49.5, 149.5, 249.5], [0.0, 10.0, 30.0])
@@ -164,15 +162,15 @@ def test_the_baseline_runs_straight_between_medians_and_level_at_the_ends() -> N
 
 
 @pytest.mark.parametrize(("size", "found"), [(19, 0), (20, 1)])
-def test_twenty_samples_may_hold_a_spike(size: int, found: int) -> None:
-    """Fewer hold none, however far one lies."""
+def test_spikes_need_at_least_twenty_samples(size: int, found: int) -> None:
+    """Fewer samples have no spikes, however large one is."""
     samples = np.random.default_rng(13).standard_normal(size)
     samples[7] = 1e3
     assert spikes(samples).sum() == found
 
 
-def test_one_spike_in_a_hundred_samples_is_the_most_that_is_no_warning() -> None:
-    """The text says by how many standard deviations, to four digits."""
+def test_more_than_one_per_cent_of_spikes_is_a_warning() -> None:
+    """The finding contains the largest spike in standard deviations, to four digits."""
     samples = np.random.default_rng(14).standard_normal(10_000)
     samples[::100] = 1e3
     _, (finding,) = clean(_series(samples))
@@ -191,16 +189,14 @@ def test_one_spike_in_a_hundred_samples_is_the_most_that_is_no_warning() -> None
 def test_rounding_is_reported_from_two_per_cent_and_hides_noise_below_half_a_step(
     white: float, level: str | None
 ) -> None:
-    """Steps of 1 at 100 Hz: 1/1200 is 2.08 % of 0.2², 1.89 % of 0.21²; N = 0.05 is half a step."""
+    """Steps of 1 at 100 Hz: 1/1200 is 2.08 % of 0.2² and 1.89 % of 0.21²; N = 0.05 is half a step."""
     samples = np.round(3 * np.random.default_rng(15).standard_normal(1000))
     assert [f.level for f in resolution_effect(_series(samples), white)] == ([level] if level else [])
 
 
 @pytest.mark.parametrize(("off", "step"), [(0.0, 1e-3), (1e-10, 1e-3), (1e-5, None)])
-def test_a_grid_holds_to_a_millionth_of_its_step_or_to_single_precision(
-    off: float, step: float | None
-) -> None:
-    """Values up to 0.05: their rounding in single precision is 2.4e-8."""
+def test_a_grid_tolerates_a_millionth_of_its_step_or_single_precision(off: float, step: float | None) -> None:
+    """The rounding error of values up to 0.05 in single precision is 2.4e-8."""
     samples = 1e-3 * np.repeat(np.arange(50.0), 4)
     samples[-4:] += off
     found = step_size(samples)
@@ -209,13 +205,13 @@ def test_a_grid_holds_to_a_millionth_of_its_step_or_to_single_precision(
 
 @pytest.mark.parametrize(("copies", "found"), [(3, False), (4, True)])
 def test_a_grid_has_values_that_occur_four_times_on_average(copies: int, *, found: bool) -> None:
-    """And at least three of them."""
+    """It also has at least three different values."""
     assert (step_size(np.repeat(np.arange(3.0), copies)) is not None) == found
     assert step_size(np.repeat(np.arange(2.0), copies)) is None
 
 
-def test_fewer_than_twenty_samples_are_left_as_they_are() -> None:
-    """They have no baseline and no deviation of their own."""
+def test_fewer_than_twenty_samples_are_unchanged() -> None:
+    """They have neither a baseline nor a deviation."""
     samples = np.array([0.0, 1.0, 50.0] * 6)
     spike, baseline, deviation = find_spikes(samples)
     assert not spike.any()
@@ -225,8 +221,8 @@ def test_fewer_than_twenty_samples_are_left_as_they_are() -> None:
 
 @pytest.mark.parametrize("draw", ["standard_t", "laplace"])
 @pytest.mark.parametrize("n", [20_000, 200_000])
-def test_the_tail_of_the_noise_itself_is_no_spike(draw: str, n: int) -> None:
-    """Student's t with 4 degrees of freedom and Laplace noise keep their variance; a wild sample goes."""
+def test_heavy_tails_are_not_spikes(draw: str, n: int) -> None:
+    """Student's t with 4 degrees of freedom and Laplace noise keep their samples; an added spike is found."""
     rng = np.random.default_rng(14)
     samples = rng.standard_t(4, n) if draw == "standard_t" else rng.laplace(size=n)
     assert spikes(samples).sum() <= 2
@@ -234,14 +230,14 @@ def test_the_tail_of_the_noise_itself_is_no_spike(draw: str, n: int) -> None:
     assert spikes(samples)[777]
 
 
-def test_tails_heavier_than_any_noise_are_cut() -> None:
-    """A Student's t with 2 degrees of freedom has no variance to estimate."""
+def test_tails_without_a_variance_are_cut() -> None:
+    """Student's t with 2 degrees of freedom has no variance to estimate."""
     samples = np.random.default_rng(15).standard_t(2, 100_000)
     assert 0.001 < spikes(samples).mean() < 0.05
 
 
-def test_heavy_tails_leave_n_as_it_is() -> None:
-    """Of 6 records the mean N is the deviation, to three standard errors; its intervals hold it."""
+def test_heavy_tails_do_not_bias_n() -> None:
+    """The mean N of 6 records is right to three standard errors, and most intervals cover it."""
     rng = np.random.default_rng(16)
     truth = np.sqrt(2.0)
     fits = [fit(_series(rng.standard_t(4, 50_000) * 10.0), model="N")["N"] for _ in range(6)]
@@ -252,10 +248,10 @@ def test_heavy_tails_leave_n_as_it_is() -> None:
 
 @pytest.mark.parametrize("spike", [4.0, 5.9, 6.3, 7.0, 40.0])
 @pytest.mark.parametrize("n", [1234, 60_000])
-def test_a_count_that_excludes_spikes_skips_the_median(
+def test_the_median_is_skipped_if_a_count_excludes_spikes(
     spike: float, n: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The same samples are spikes as by the median of all distances; without spikes it is not taken."""
+    """The same samples are spikes as with the median of all distances."""
     samples = _noise(n, 21)
     samples[n // 3] = _baseline(samples)[n // 3] + spike
     distance = np.abs(samples - _baseline(samples))
@@ -268,8 +264,8 @@ def test_a_count_that_excludes_spikes_skips_the_median(
 
 
 @pytest.mark.parametrize("block", [2, 3, 100, 101])
-def test_medians_of_blocks_are_those_of_numpy(block: int) -> None:
-    """Of an odd and an even number of samples, to the digit, also where many are equal."""
+def test_medians_of_blocks_agree_with_numpy(block: int) -> None:
+    """They are exact for odd and even block lengths, also with many equal samples."""
     rng = np.random.default_rng(22)
     for samples in (rng.standard_normal(70_007), rng.integers(0, 3, 60_000).astype(float)):
         count = samples.size // block
@@ -277,8 +273,8 @@ def test_medians_of_blocks_are_those_of_numpy(block: int) -> None:
         npt.assert_array_equal(_medians(samples, block), expected)
 
 
-def test_spikes_that_go_over_into_the_noise_are_a_warning() -> None:
-    """Of outliers of 6 deviations most are too small to be replaced; the text gives the larger N."""
+def test_outliers_that_overlap_the_noise_raise_a_warning() -> None:
+    """Most outliers of 6 deviations are too small to be replaced; the finding contains the larger N."""
     rng = np.random.default_rng(3_909)
     samples = rng.standard_normal(50_000)
     samples += 6 * rng.standard_normal(samples.size) * (rng.random(samples.size) < 0.005)
@@ -292,8 +288,8 @@ def test_spikes_that_go_over_into_the_noise_are_a_warning() -> None:
 
 
 @pytest.mark.parametrize(("freedom", "warned"), [(3.0, True), (8.0, False)])
-def test_tails_that_few_samples_determine_are_a_warning(freedom: float, *, warned: bool) -> None:
-    """The kurtosis of Student's t with 3 degrees of freedom is infinite, with 8 it is 1.5."""
+def test_tails_with_infinite_kurtosis_raise_a_warning(freedom: float, *, warned: bool) -> None:
+    """The kurtosis of Student's t is infinite with 3 degrees of freedom and 1.5 with 8."""
     samples = np.random.default_rng(3_910).standard_t(freedom, 50_000)
     codes = [f.code for f in fit(_series(samples)).findings if f.level == "warning"]
     assert codes == (["heavy-tails"] if warned else [])

@@ -1,4 +1,4 @@
-"""The exact likelihood: against the dense Gaussian, with and without gaps, and its optimum."""
+"""Tests of the exact likelihood: agreement with the dense Gaussian density, gaps and the optimum."""
 
 import time
 
@@ -20,7 +20,7 @@ N = 300
 
 
 def log_likelihood(model: NoiseModel, series: AxisSeries) -> float:
-    """Return the exact log-likelihood, a ramp taken out with its value."""
+    """Return the exact log-likelihood after subtraction of the model's ramp."""
     samples, seen = module.on_grid(series.finite(), "a likelihood")
     ramp = sum(term.coefficient for term in model.terms if term.symbol == "R")
     rest = NoiseModel(terms=tuple(term for term in model.terms if term.symbol != "R"))
@@ -29,7 +29,7 @@ def log_likelihood(model: NoiseModel, series: AxisSeries) -> float:
 
 
 def _covariance(model: NoiseModel, rate_hz: float) -> FloatArray:
-    """Return the covariance of N samples, up to a constant and what a flat prior on the level forgets."""
+    """Return the covariance of N samples, up to a constant that the flat prior on the level absorbs."""
     t = np.arange(N, dtype=np.float64)
     lag = np.abs(np.subtract.outer(t, t))
     total = np.zeros((N, N))
@@ -48,7 +48,7 @@ def _covariance(model: NoiseModel, rate_hz: float) -> FloatArray:
 
 
 def dense(model: NoiseModel, samples: FloatArray, seen: NDArray[np.bool_], rate_hz: float) -> float:
-    """Return the Gaussian log-density of the seen samples, the level integrated out; O(n³)."""
+    """Return the Gaussian log-density of the seen samples, with the level integrated out; O(n³)."""
     ramp = sum(term.value for term in model.terms if isinstance(term, RateRamp))
     rest = (samples - ramp * np.arange(N) / rate_hz)[seen]
     covariance = _covariance(model, rate_hz)[np.ix_(seen, seen)]
@@ -70,14 +70,14 @@ def dense(model: NoiseModel, samples: FloatArray, seen: NDArray[np.bool_], rate_
         ("K=1 + N=1e-3", 1e-4),
         ("N=1 + GM(sigma=0.5, T=20)", 1e-9),
         ("Q=1 + N=0.5 + GM(sigma=0.5, T=20) + GM(sigma=0.3, T=2) + K=0.05 + R=0.01", 1e-8),
-        # Without white noise, so little of it is added that a sample's likelihood moves by 1e-6.
+        # Without white noise, the added noise changes a sample's likelihood by at most 1e-6.
         ("Q=1 + K=0.01", 1e-3),
         ("GM(sigma=1, T=40)", 1e-3),
         ("K=1", 1e-3),
     ],
 )
-def test_equals_the_dense_gaussian(text: str, tolerance: float, missing: float) -> None:
-    """For every sum of terms, with samples missing anywhere."""
+def test_the_likelihood_equals_the_dense_gaussian(text: str, tolerance: float, missing: float) -> None:
+    """Every sum of terms agrees, wherever samples are missing."""
     rng = np.random.default_rng(17)
     model = NoiseModel.parse(text)
     samples = model.simulate(N, rate_hz=1.0, rng=rng)
@@ -87,8 +87,8 @@ def test_equals_the_dense_gaussian(text: str, tolerance: float, missing: float) 
     assert log_likelihood(model, series) == pytest.approx(dense(model, samples, seen, 1.0), abs=tolerance)
 
 
-def test_flicker_is_nearly_its_bank() -> None:
-    """The likelihood of N + B differs by less than 0.1 from that of exact flicker."""
+def test_flicker_nearly_equals_a_bank_of_gauss_markov_terms() -> None:
+    """The log-likelihood of N + B differs by less than 0.1 from exact flicker."""
     model = NoiseModel.parse("N=1 + B=0.3")
     samples = model.simulate(N, rate_hz=10.0, rng=np.random.default_rng(18))
     series = AxisSeries.from_samples(samples, rate_hz=10.0)
@@ -96,8 +96,7 @@ def test_flicker_is_nearly_its_bank() -> None:
     assert log_likelihood(model, series) == pytest.approx(exact, abs=0.1)
 
 
-def test_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Passing the state on from block to block is exact."""
+def test_the_division_into_blocks_is_exact(monkeypatch: pytest.MonkeyPatch) -> None:
     model = NoiseModel.parse("Q=1 + N=0.5 + GM(sigma=0.5, T=20) + K=0.05")
     samples = model.simulate(1000, rate_hz=1.0, rng=np.random.default_rng(19))
     series = AxisSeries.from_samples(samples, rate_hz=1.0)
@@ -106,8 +105,8 @@ def test_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert log_likelihood(model, series) == pytest.approx(whole, abs=1e-8)
 
 
-def test_a_level_and_a_unit_change_what_they_must() -> None:
-    """An offset changes nothing; a scale factor c subtracts (n - 1) ln c."""
+def test_offsets_have_no_effect_and_units_add_a_constant() -> None:
+    """A scale factor c subtracts (n - 1) ln c."""
     model = NoiseModel.parse("N=1 + K=0.1")
     samples = model.simulate(N, rate_hz=1.0, rng=np.random.default_rng(20))
     base = log_likelihood(model, AxisSeries.from_samples(samples, rate_hz=1.0))
@@ -117,8 +116,8 @@ def test_a_level_and_a_unit_change_what_they_must() -> None:
     assert scaled == pytest.approx(base + (N - 1) * np.log(1e6))
 
 
-def test_the_optimum_is_one() -> None:
-    """No coefficient moved by half a per cent makes the samples more likely; R is found with the rest."""
+def test_the_fit_is_a_maximum_of_the_likelihood() -> None:
+    """A change of any coefficient by half a per cent lowers the likelihood; R is estimated too."""
     text = "N=1 + GM(sigma=0.4, T=30) + R=1e-3"
     model = NoiseModel.parse(text)
     samples = model.simulate(5000, rate_hz=1.0, rng=np.random.default_rng(21))
@@ -145,7 +144,7 @@ def test_the_optimum_is_one() -> None:
     assert ramp.value == pytest.approx(1e-3, rel=0.15)
 
 
-def test_the_cost_grows_with_the_samples_only() -> None:
+def test_the_cost_is_proportional_to_the_number_of_samples() -> None:
     """Ten times the samples take at most 20 times as long (CPU, best of three)."""
     model = NoiseModel.parse("N=1 + K=1e-3")
     seconds = []
@@ -161,15 +160,15 @@ def test_the_cost_grows_with_the_samples_only() -> None:
     assert seconds[1] < 20 * seconds[0]
 
 
-def test_refuses_a_single_sample() -> None:
-    """A likelihood of contrasts needs two."""
+def test_a_single_sample_is_rejected() -> None:
+    """A likelihood of contrasts needs two samples."""
     series = AxisSeries.from_samples(np.array([1.0, np.nan]), rate_hz=1.0)
     with pytest.raises(DataError, match=r"^gyro_x: a likelihood needs at least 2 samples, got 1$"):
         fit_exact(series, NoiseModel.parse("N=1"))
 
 
-def test_a_ramp_is_taken_out_at_the_rate_of_the_samples() -> None:
-    """At 50 Hz a ramp of 3 a second more in samples and model alike changes nothing."""
+def test_a_ramp_is_subtracted_at_the_sampling_rate() -> None:
+    """A ramp of 3 per second at 50 Hz, in samples and model, does not change the likelihood."""
     samples = np.random.default_rng(19).standard_normal(N)
     plain, steep = (
         log_likelihood(

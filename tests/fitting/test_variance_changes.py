@@ -1,4 +1,4 @@
-"""Noise whose variance changes within a segment."""
+"""Tests of the search for noise whose variance changes within a segment."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def series(samples: np.ndarray) -> AxisSeries:
 
 @pytest.mark.parametrize("period_s", [20.0, 100.0, 300.0])
 def test_a_swing_is_found_with_its_period(period_s: float) -> None:
-    """80 % of white noise, over some periods."""
+    """White noise swings by 80 % over several periods."""
     n = 120_000
     swing = 1 + 0.8 * np.sin(2 * np.pi * np.arange(n) / RATE_HZ / period_s)
     found = find_variance_change(series(np.random.default_rng(21).standard_normal(n) * swing))
@@ -27,7 +27,7 @@ def test_a_swing_is_found_with_its_period(period_s: float) -> None:
 
 
 def test_a_jump_is_found_without_a_period() -> None:
-    """Half of the record is four times as loud."""
+    """The second half of the record is four times as loud."""
     n = 60_000
     loud = np.where(np.arange(n) < n // 2, 1.0, 4.0)
     found = find_variance_change(series(np.random.default_rng(22).standard_normal(n) * loud))
@@ -35,7 +35,7 @@ def test_a_jump_is_found_without_a_period() -> None:
     assert found.period_s is None
 
 
-def test_the_unit_changes_nothing() -> None:
+def test_the_unit_does_not_matter() -> None:
     """Scores and quantiles are relative."""
     n = 40_000
     samples = np.random.default_rng(23).standard_normal(n) * np.where(np.arange(n) < n // 2, 1.0, 2.0)
@@ -45,8 +45,8 @@ def test_the_unit_changes_nothing() -> None:
     assert (one.low, one.high, one.score) == pytest.approx((other.low, other.high, other.score), rel=1e-9)
 
 
-def test_stationary_noise_of_any_kind_is_not_found() -> None:
-    """White, heavy-tailed, filtered, a walk: 30 records of each."""
+def test_stationary_noise_has_no_variance_change() -> None:
+    """White, heavy-tailed and filtered noise and a random walk have 30 records each."""
     rng = np.random.default_rng(24)
     n = 20_000
     for _ in range(30):
@@ -60,8 +60,8 @@ def test_stationary_noise_of_any_kind_is_not_found() -> None:
         assert all(find_variance_change(series(kind)) is None for kind in kinds)
 
 
-def test_short_and_constant_records_are_not_judged() -> None:
-    """Too few windows, or no noise in one of them."""
+def test_short_and_constant_records_are_not_tested() -> None:
+    """A short record has too few windows; samples without noise have no variance to compare."""
     assert find_variance_change(series(np.random.default_rng(25).standard_normal(3000))) is None
     half = np.concatenate([np.zeros(10_000), np.random.default_rng(26).standard_normal(10_000)])
     assert find_variance_change(series(half)) is None

@@ -1,4 +1,4 @@
-"""Records of one unit: simulated, binned without the rest of a fit, and put into a fit that was made once."""
+"""Records of one unit: simulated samples, their bins, and fits with replaced bins."""
 
 from dataclasses import replace
 from functools import cache
@@ -22,19 +22,19 @@ def simulated(text: str, n: int, *seed: int) -> FloatArray:
 
 
 def fit_of(samples: FloatArray, model: str = "N + B + K") -> NoiseFit:
-    """Return the whole fit of samples, not cut into segments."""
+    """Return the complete fit of samples with one segment."""
     return imucal.fit(AxisSeries.from_samples(samples, rate_hz=RATE), model=model, segments=1)
 
 
 def bins_from(samples: FloatArray) -> Bins:
-    """Return the bins of samples that hold nothing but noise."""
+    """Return the bins of samples that contain only noise."""
     series = AxisSeries.from_samples(samples, rate_hz=RATE).finite()
     blocks = make_blocks(series)
     return bins_of(bin_blocks(blocks.blocks, blocks.scale), blocks, tau0=series.tau0, widening=1.0)
 
 
 def quick_fit(samples: FloatArray) -> NoiseFit:
-    """Return a fit of which only sensor, rate, filter and bins are those of the samples."""
+    """Return a constant fit with the sensor, rate, filter and bins of the samples."""
     return replace(_any_fit(), bins=bins_from(samples))
 
 

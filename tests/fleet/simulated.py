@@ -1,4 +1,4 @@
-"""Simulated fleets: what each log of each unit says of one coefficient whose median is 1."""
+"""Simulated fleets: the values of one coefficient with median 1, for each log of each unit."""
 
 import numpy as np
 from scipy.special import ndtri
@@ -31,12 +31,12 @@ def weak_fleet(
         own = tau * rng.standard_normal()
         for _ in range(logs):
             square = float(np.exp(2 * own) + error * rng.standard_normal())
-            shown = square > Z * error
+            detected = square > Z * error
             found.append(
                 LogValue(
                     unit=f"u{unit}",
-                    value=np.sqrt(square) if shown else None,
-                    low=float(np.sqrt(square - Z * error)) if shown else 0.0,
+                    value=np.sqrt(square) if detected else None,
+                    low=float(np.sqrt(square - Z * error)) if detected else 0.0,
                     high=float(np.sqrt(max(square, 0.0) + Z * error)),
                     variance=square if likelihood else None,
                     variance_sd=error if likelihood else None,

@@ -1,9 +1,8 @@
-"""Logs of a fleet of known truth, broken ones among them: ``python -m tests.fleet.simulated_fleet FOLDER``.
+"""Logs of a fleet with known truth, some of them broken: ``python -m tests.fleet.simulated_fleet FOLDER``.
 
-Three models of sensors, ten units each, some with several logs at different temperatures; every coefficient
-of a unit lies around its model's with a spread of 20 %. The last unit of the first model has three times
-the noise. Broken logs: empty, cut off, garbage, moved by hand,
-a copy of another, and one too short.
+There are three sensor models with ten units each; some units have several logs at different temperatures.
+A unit's coefficients have a spread of 20 % about its model's. The last unit of the first model has three
+times the noise. Broken logs are empty, truncated, garbage, moved by hand, copies or too short.
 """
 
 import shutil
@@ -23,9 +22,9 @@ TRUTH = {
     "beta": ((3e-4, 6e-5, 5e-6), (2e-3, 3e-4, 4e-5)),
     "gamma": ((1e-3, 1e-4, 2e-5), (4e-3, 1e-3, 1e-4)),
 }
-#: Spread of a coefficient between units, as a standard deviation of its logarithm.
+#: Spread of a coefficient between units: standard deviation of its logarithm.
 TAU = 0.2
-#: The unit that is not like the others, and its factor.
+#: The odd unit and its factor.
 ODD, ODD_FACTOR = ("alpha", "u09"), 3.0
 RATE = 100.0
 UNITS = 10
@@ -33,7 +32,7 @@ UNITS = 10
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MadeLog:
-    """A log that was made, and what is wrong with it; `broken` is empty where nothing is."""
+    """A log and its fault; `broken` is empty for a log without a fault."""
 
     path: Path
     model: str
@@ -47,7 +46,7 @@ def make_fleet(
 ) -> list[MadeLog]:
     """Write a fleet as ``folder/model/unit/25C/log.npz``; every 20th log from the eighth on is broken.
 
-    Each has three axes of both sensors, or one of the gyroscope alone, which is done in a sixth of the time.
+    A log has three axes of both sensors, or one axis of the gyroscope, which takes a sixth of the time.
     """
     rng = np.random.default_rng(seed)
     made: list[MadeLog] = []
@@ -117,7 +116,7 @@ def _write(path: Path, samples: FloatArray, start: int, broken: str, others: lis
 
 
 def main() -> None:
-    """Make a fleet in the folder that is named."""
+    """Write a fleet to the folder in the arguments."""
     made = make_fleet(Path(sys.argv[1]), logs=int(sys.argv[2]) if len(sys.argv) > 2 else 200)
     sys.stdout.write(f"{len(made)} logs, {sum(bool(log.broken) for log in made)} of them broken\n")
 

@@ -1,4 +1,4 @@
-"""Several records of one unit, fitted together from their bins."""
+"""Tests of the joint fit of several records of one unit from their bins."""
 
 from dataclasses import replace
 
@@ -20,13 +20,13 @@ from tests.slow_cases import first_by_default
 
 TRUTH = {"N": 1e-3, "K": 4e-4}
 TEXT = "N=1e-3 + K=4e-4"
-#: Pools, records of each, samples of each.
+#: Number of pools, records per pool and samples per record.
 POOLS, RECORDS, SAMPLES = 30, 3, 2000
 
 
 @pytest.fixture(scope="module")
 def pools() -> list[PooledFit]:
-    """Pools of records of one truth."""
+    """Return pools of records with one truth."""
     return [
         imucal.pool([quick_fit(simulated(TEXT, SAMPLES, 31, i, j)) for j in range(RECORDS)], model="N + K")
         for i in range(POOLS)
@@ -34,7 +34,7 @@ def pools() -> list[PooledFit]:
 
 
 def one_record(parts: list[FloatArray]) -> FloatArray:
-    """Return the parts as one record with long gaps of different lengths between."""
+    """Return the parts as one record with long gaps of different lengths between them."""
     pieces = [parts[0]]
     for number, part in enumerate(parts[1:], 1):
         pieces += [np.full(400 * number, np.nan), part]
@@ -43,8 +43,8 @@ def one_record(parts: list[FloatArray]) -> FloatArray:
 
 @pytest.mark.parametrize("model", ["N + B + K", "N + GM", "N + K + R"])
 @pytest.mark.parametrize("scale", first_by_default([77.0, 1.0], 1))
-def test_equals_the_fit_of_one_record_with_long_gaps(model: str, scale: float) -> None:
-    """Every number, though each record has a scale of its own."""
+def test_a_pool_equals_the_fit_of_one_record_with_long_gaps(model: str, scale: float) -> None:
+    """All numbers agree, although each record has its own scale."""
     parts = [
         simulated("N=1e-3 + GM(sigma=2e-3, T=0.5) + K=4e-4", n, 5, n) * scale for n in (6000, 4000, 7500)
     ]
@@ -60,8 +60,8 @@ def test_equals_the_fit_of_one_record_with_long_gaps(model: str, scale: float) -
     assert str(pooled.model) == str(whole.model)
 
 
-def test_bins_are_the_ordinates_bit_for_bit() -> None:
-    """With gaps short and long, so that blocks have lost some of their information."""
+def test_bins_contain_the_exact_ordinates() -> None:
+    """Short and long gaps reduce the information of some blocks."""
     samples = one_record([simulated(TEXT, 3000, 6), simulated(TEXT, 2000, 7)])
     samples[100:140] = np.nan
     found = fit_of(samples)
@@ -74,15 +74,15 @@ def test_bins_are_the_ordinates_bit_for_bit() -> None:
 
 
 @pytest.mark.slow
-def test_limits_hold_the_truth(pools: list[PooledFit]) -> None:
-    """As often as their level says, within three standard errors."""
+def test_limits_have_the_nominal_coverage(pools: list[PooledFit]) -> None:
+    """The tolerance is three standard errors."""
     least = 0.95 - 3 * np.sqrt(0.95 * 0.05 / POOLS)
     for key, truth in TRUTH.items():
         assert np.mean([p[key].low <= truth <= p[key].high for p in pools]) >= least
 
 
-def test_records_of_one_coefficient_are_found_to_differ_rarely(pools: list[PooledFit]) -> None:
-    """In about 5 % of pools, and the statistic is that many degrees of freedom on average."""
+def test_equal_records_rarely_differ(pools: list[PooledFit]) -> None:
+    """About 5 % of the pools differ, and the mean statistic is the degrees of freedom."""
     most = 0.05 + 3 * np.sqrt(0.95 * 0.05 / POOLS)
     for key in TRUTH:
         tests = [next(t for t in p.homogeneity if t.key == key) for p in pools]
@@ -92,8 +92,8 @@ def test_records_of_one_coefficient_are_found_to_differ_rarely(pools: list[Poole
     assert abs(np.mean(white) - dof) < 3 * np.sqrt(2 * dof / POOLS)
 
 
-def test_a_record_that_differs_is_found_and_the_interval_widened() -> None:
-    """N, of 10 % more in one: the limits span far more than those of one coefficient."""
+def test_a_different_record_is_found_and_widens_the_interval() -> None:
+    """N is 10 % larger in one record; the limits are much wider than for equal records."""
     fits = [quick_fit(simulated(TEXT, 6000, 8, i)) for i in range(3)]
     odd = [*fits, quick_fit(simulated("N=1.1e-3 + K=4e-4", 6000, 8, 9))]
     same, pooled = imucal.pool(fits), imucal.pool(odd)
@@ -111,8 +111,8 @@ def test_a_record_that_differs_is_found_and_the_interval_widened() -> None:
     assert pooled.model.terms[0].values[0] == pooled["N"].value
 
 
-def test_a_step_of_one_record_is_nothing_in_the_others() -> None:
-    """It was taken out of that record alone: the test compares what is left."""
+def test_a_step_of_one_record_does_not_affect_the_others() -> None:
+    """It is removed from its record only, and the test compares the remaining noise."""
     rng = np.random.default_rng(32)
     parts = [simulated("N=1e-3", 4000, 33, i) for i in range(2)]
     stepped = parts[0] + np.where(np.arange(4000) < 2000 + int(rng.integers(100)), 0.0, 5e-3)
@@ -126,8 +126,8 @@ def test_a_step_of_one_record_is_nothing_in_the_others() -> None:
         assert 0 <= ours.statistic < 10
 
 
-def test_a_mean_below_zero_is_a_bound() -> None:
-    """Squares of a weak term may all lie below zero: found is the common bound, and no spread beyond all."""
+def test_a_negative_mean_square_is_an_upper_bound() -> None:
+    """Squares of a weak term may all be negative; the joint bound is finite and the spread too."""
     pooled = imucal.pool(
         [
             quick_fit(simulated(f"N={n} + B=2e-4 + K=1e-4", 2000, 92, 7, i))
@@ -141,8 +141,8 @@ def test_a_mean_below_zero_is_a_bound() -> None:
     assert all(estimate.low == 0 < estimate.high for estimate in weak)
 
 
-def test_a_filter_of_one_record_is_not_that_of_all() -> None:
-    """Three records whose N differs, one of them behind a filter: no filter fits all, in any order."""
+def test_a_filter_of_one_record_is_not_used_for_all() -> None:
+    """Of three records with different N, one is behind a filter; no filter fits all, in any order."""
     corner = np.exp(-2 * np.pi * 15 / RATE)
     behind = signal.lfilter([1 - corner], [1, -corner], simulated("N=1e-3 + K=2e-5", 4000, 94, 0))
     records = [
@@ -156,7 +156,7 @@ def test_a_filter_of_one_record_is_not_that_of_all() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_known_band_gives_the_same_values_as_a_search(seed: int) -> None:
-    """Behind a filter, whose band the fit has found; one that did not have these terms tells none."""
+    """The fit of filtered samples contains the band; a fit with a chosen model requires a search."""
     corner = np.exp(-2 * np.pi * (8 + 4 * seed) / RATE)
     behind = signal.lfilter([1 - corner], [1, -corner], simulated("N=1e-3 + K=2e-4", 3000, 95, seed))
     fit = fit_of(np.asarray(behind))
@@ -165,8 +165,8 @@ def test_a_known_band_gives_the_same_values_as_a_search(seed: int) -> None:
     assert imucal.log_values("u", fit) == imucal.log_values("u", replace(fit, criterion="chance"))
 
 
-def test_a_walk_in_one_record_only_is_found() -> None:
-    """A weak term that most records lack: the mean is no narrower than any joint limit."""
+def test_a_random_walk_in_only_one_record_is_found() -> None:
+    """Most records lack the weak term, so the joint interval includes zero."""
     still = [quick_fit(simulated("N=1e-3", 6000, 10, i)) for i in range(3)]
     pooled = imucal.pool([*still, quick_fit(simulated("N=1e-3 + K=3e-3", 6000, 10, 9))])
     assert next(t for t in pooled.homogeneity if t.key == "K").differs
@@ -176,16 +176,16 @@ def test_a_walk_in_one_record_only_is_found() -> None:
 
 
 @pytest.mark.slow
-def test_widened_limits_hold_the_mean_of_scattered_records() -> None:
-    """Records whose N scatters by 25 %: the limits hold the median unit's value."""
+def test_widened_limits_cover_the_mean_of_scattered_records() -> None:
+    """N scatters by 25 % between records, and the limits cover the median unit's value."""
     rng = np.random.default_rng(12)
-    held = []
+    covered = []
     for i in range(16):
         values = 1e-3 * np.exp(0.25 * rng.standard_normal(3))
         fits = [quick_fit(simulated(f"N={value}", 1000, 13, i, j)) for j, value in enumerate(values)]
         found = imucal.pool(fits, model="N")["N"]
-        held.append(found.low <= 1e-3 <= found.high)
-    assert np.mean(held) >= 0.95 - 3 * np.sqrt(0.95 * 0.05 / 16)
+        covered.append(found.low <= 1e-3 <= found.high)
+    assert np.mean(covered) >= 0.95 - 3 * np.sqrt(0.95 * 0.05 / 16)
 
 
 def _joint(records: list[FloatArray]) -> BinFit:
@@ -193,8 +193,8 @@ def _joint(records: list[FloatArray]) -> BinFit:
 
 
 @pytest.mark.parametrize("factor", [2.0**-9, 10.0])
-def test_scales_with_the_samples(factor: float) -> None:
-    """Coefficients with them, chances not; squared coefficients with their square."""
+def test_pooled_estimates_scale_with_the_samples(factor: float) -> None:
+    """Probabilities stay the same, and squared coefficients scale with the square."""
     records = [simulated(TEXT, 3000, 15, i) for i in range(2)]
     plain, scaled = (imucal.pool([quick_fit(k * one) for one in records]) for k in (1.0, factor))
     for ours, theirs in zip(scaled.estimates, plain.estimates, strict=True):
@@ -211,8 +211,8 @@ def test_scales_with_the_samples(factor: float) -> None:
 
 
 @pytest.mark.slow
-def test_the_variance_of_a_weak_walk_has_no_bias() -> None:
-    """Its mean over 60 records is K², and the law at K² their scatter; a bound alone would say 0 … high."""
+def test_the_variance_of_a_weak_random_walk_is_unbiased() -> None:
+    """The mean over 60 records is K², and the law at K² has their scatter; bounds alone would lose this."""
     text, truth = "N=1e-3 + B=6e-4 + K=2e-4", 2e-4**2
     values = [imucal.log_values("u", quick_fit(simulated(text, 10_000, 16, i)))["K"] for i in range(60)]
     assert sum(value.value is None for value in values) > 12
@@ -221,15 +221,15 @@ def test_the_variance_of_a_weak_walk_has_no_bias() -> None:
     assert np.sum(squares < 0) > 3
     scatter = float(np.std(squares, ddof=1))
     assert abs(np.mean(squares) - truth) < 2 * scatter / np.sqrt(60)
-    # The scatter itself is known to 9 %.
+    # The scatter itself has a standard error of 9 %.
     assert 0.8 < np.mean(deviations) / scatter < 1.25
 
 
 @pytest.mark.slow
-def test_a_walk_that_each_log_barely_shows_is_pooled_without_bias() -> None:
-    """Of 60 logs that tell it at one to two deviations, those that drew low do not count for more.
+def test_a_barely_detected_random_walk_is_pooled_without_bias() -> None:
+    """K is one to two standard errors in each of 60 logs; low estimates must not get more weight.
 
-    With deviations at each log's own estimate the mean square would be half the truth.
+    With standard errors at each log's own estimate, the mean square would be half the truth.
     """
     truth = 1e-4
     logs = [
@@ -247,7 +247,7 @@ def test_a_walk_that_each_log_barely_shows_is_pooled_without_bias() -> None:
 
 
 def test_a_gauss_markov_term_keeps_its_correlation_time() -> None:
-    """As the fit of the log has it; other terms have none."""
+    """It equals the time in the log's fit; other terms have none."""
     fit = imucal.fit(
         imucal.AxisSeries.from_samples(simulated("N=1e-4 + GM(sigma=2e-3, T=2)", 20_000, 71), rate_hz=100.0),
         model="N + GM",
@@ -259,16 +259,16 @@ def test_a_gauss_markov_term_keeps_its_correlation_time() -> None:
     assert values["N"].correlation_time is None
 
 
-def test_a_population_takes_the_values() -> None:
-    """Of weak logs, whose median is then within its limits; each with the name of its unit."""
+def test_a_population_accepts_values_of_logs() -> None:
+    """The logs are weak; the limits of the median cover the truth, and each value has its unit's name."""
     logs = [imucal.log_values(f"u{i}", quick_fit(simulated(TEXT, 3000, 17, i))) for i in range(5)]
     assert logs[0]["N"].unit == "u0"
     found = imucal.population([log["N"] for log in logs])
     assert found.median.low <= 1e-3 <= found.median.high
 
 
-def test_one_record_is_its_own_pool() -> None:
-    """Without a test of anything."""
+def test_a_pool_of_one_record_equals_its_fit() -> None:
+    """It has no homogeneity test."""
     record = fit_of(simulated(TEXT, 3000, 18))
     pooled = imucal.pool([record])
     assert pooled.records == 1
@@ -297,8 +297,7 @@ def _other(kind: str, fit: NoiseFit) -> NoiseFit:
         ("filter", "fit 2 of 2: found an output filter at 20 Hz, expected no output filter as in fit 1"),
     ],
 )
-def test_refuses_what_is_not_of_one_setting(kind: str, text: str) -> None:
-    """In a sentence."""
+def test_records_of_different_settings_are_rejected(kind: str, text: str) -> None:
     fit = quick_fit(simulated(TEXT, 500, 19))
     with pytest.raises(DataError, match=text):
         imucal.pool([fit, _other(kind, fit)])
@@ -308,13 +307,11 @@ def test_refuses_what_is_not_of_one_setting(kind: str, text: str) -> None:
     ("model", "level", "text"),
     [("auto", 0.95, "give the terms"), ("N + X", 0.95, "X"), ("N", 1.5, "level must be between 0 and 1")],
 )
-def test_refuses_a_choice_by_the_record(model: str, level: float, text: str) -> None:
-    """And what no fit takes."""
+def test_model_selection_and_invalid_levels_are_rejected(model: str, level: float, text: str) -> None:
     with pytest.raises(ValueError, match=text):
         imucal.pool([quick_fit(simulated(TEXT, 500, 19))], model=model, level=level)
 
 
-def test_refuses_no_records() -> None:
-    """There is nothing to fit."""
+def test_an_empty_pool_is_rejected() -> None:
     with pytest.raises(ValueError, match="found no fits, expected at least one"):
         imucal.pool([])

@@ -1,4 +1,4 @@
-"""The population of a fleet: exact limits, a slow witness, laws, coverage and odd units."""
+"""Tests of the population of a fleet: exact limits, the posterior, coverage and odd units."""
 
 import math
 from dataclasses import replace
@@ -22,7 +22,7 @@ from tests.fleet.simulated import strong_fleet, weak_fleet
 
 @pytest.mark.parametrize("units", [3, 5, 20])
 def test_exact_units_have_the_noncentral_t_bound(units: int) -> None:
-    """With units that are known exactly: mean plus k standard deviations, Student's t for the median."""
+    """For exact units, the bound is the mean plus k standard deviations; the median uses Student's t."""
     logs = strong_fleet(np.random.default_rng(units), units=units, tau=0.02, error=1e-6)
     y = np.log([log.value or math.nan for log in logs])
     mean, sd = float(y.mean()), float(y.std(ddof=1))
@@ -38,20 +38,20 @@ def test_exact_units_have_the_noncentral_t_bound(units: int) -> None:
 
 
 def _slow_log_posterior(values: LogValues, omega: float, tau: float, mu: float) -> float:
-    """Return the log-posterior by nested quadrature of each unit's and each log's own effect."""
+    """Return the log-posterior from nested quadrature over the effects of units and logs."""
     units = UnitLikelihoods(values, omega)
     s2 = units.deviation**2
     jeffreys = 2 * math.log(tau) + 0.5 * math.log(sum(1 / (s + tau**2) ** 2 for s in s2))
     usual = math.log(tau) - (tau**2 + omega**2) / (2 * 0.25)
-    untold = sum((s / (s + 0.25)) ** 2 for s in s2) / s2.size
-    total = float((1 - untold) * jeffreys + untold * usual)
-    # Of the median: a weak unit's error at mu is that of its square, and all weak ones have the same.
+    uninformative = sum((s / (s + 0.25)) ** 2 for s in s2) / s2.size
+    total = float((1 - uninformative) * jeffreys + uninformative * usual)
+    # A weak unit's error of the median at mu is that of its square, equal for all weak units.
     weak = 1 / (np.mean(1 / s2[~units.normal]) * math.exp(4 * (mu - values.middle)))
-    told = sum(1 / (s + 0.25) for s in s2[units.normal])
+    informative = sum(1 / (s + 0.25) for s in s2[units.normal])
     count = int(np.sum(~units.normal))
-    total += 0.5 * math.log((told + count / (weak + 0.25)) / (told + count / 0.25))
+    total += 0.5 * math.log((informative + count / (weak + 0.25)) / (informative + count / 0.25))
     theta = np.linspace(mu - 6 - 3 * tau, mu + 3 + 4 * tau, 2401)
-    # Simpson's weights, for all effects of a log at once.
+    # Simpson's weights for all effects of a log.
     weights = np.resize([2.0, 4.0], theta.size) * (theta[1] - theta[0]) / 3
     weights[[0, -1]] /= 2
     scatter = _normal(theta[:, None] - theta, omega) * weights if omega else None
@@ -69,16 +69,16 @@ def _normal(x: np.ndarray, sd: float) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("omega", [0.0, 0.2])
-def test_the_posterior_is_that_of_nested_quadrature(omega: float) -> None:
-    """Differences over mu and tau, for a fleet of told, weakly told and bounded units."""
+def test_the_posterior_agrees_with_nested_quadrature(omega: float) -> None:
+    """Differences over mu and tau are compared for a fleet of precise, weak and bounded units."""
     rng = np.random.default_rng(41)
-    told = strong_fleet(rng, units=2, logs=2, tau=0.3, error=0.05, omega=0.2)
+    informative = strong_fleet(rng, units=2, logs=2, tau=0.3, error=0.05, omega=0.2)
     weak = weak_fleet(rng, units=3, tau=0.3, error=0.8)
-    values = LogValues.of([*told, *(replace(log, unit=f"w{log.unit}") for log in weak)])
+    values = LogValues.of([*informative, *(replace(log, unit=f"w{log.unit}") for log in weak)])
     found = Posterior(values, np.array([omega]))
     tau, mu, weight = found.tau.ravel(), found.mu[0], found.weight[0]
-    # A density in mu, of which each tau has a grid of its own. Also medians from which a wide spread
-    # reaches beyond the grid of the units' own likelihoods.
+    # The density is per mu, and each tau has its own grid. Some medians have a spread that exceeds
+    # the grid of the unit likelihoods.
     fast = np.log(weight / (mu[:, 1] - mu[:, 0])[:, None])
     points = [(t, m) for t in (0, 20, 35, 47) for m in (10, 25, 30, 50)]
     slow = [_slow_log_posterior(values, omega, float(tau[t]), float(mu[t, m])) for t, m in points]
@@ -87,8 +87,8 @@ def test_the_posterior_is_that_of_nested_quadrature(omega: float) -> None:
     assert np.ptp(differences) < 0.03
 
 
-def test_a_median_is_within_the_estimated_units() -> None:
-    """Four of them, each at three to five of its errors: no limit is far from all of them."""
+def test_the_median_is_near_the_estimated_units() -> None:
+    """Four units are known to three to five standard errors, so no limit is far from them."""
     logs = [
         LogValue(unit=f"u{i}", value=None, low=0.0, high=9.0, variance=v, variance_sd=sd, variance_growth=0.1)
         for i, (v, sd) in enumerate(((4.6, 0.9), (2.3, 0.5), (2.1, 0.8), (1.8, 0.6)))
@@ -100,7 +100,7 @@ def test_a_median_is_within_the_estimated_units() -> None:
 
 @pytest.mark.parametrize("factor", [1e-6, 1e3])
 def test_the_unit_of_measurement_does_not_matter(factor: float) -> None:
-    """All coefficients in another unit: the same spread, everything else in that unit."""
+    """The spread stays the same, and all other numbers scale."""
     logs = strong_fleet(np.random.default_rng(43), units=8, logs=2, tau=0.2, error=0.05, omega=0.1)
     scaled = [
         replace(log, value=(log.value or 0.0) * factor, low=log.low * factor, high=log.high * factor)
@@ -115,7 +115,7 @@ def test_the_unit_of_measurement_does_not_matter(factor: float) -> None:
 
 
 def test_the_order_of_the_logs_does_not_matter() -> None:
-    """Shuffled logs give the same numbers, and the units in their new order."""
+    """Shuffled logs give the same numbers, with the units in their new order."""
     rng = np.random.default_rng(44)
     logs = weak_fleet(rng, units=6, logs=2, tau=0.3, error=0.5)
     one, other = population(logs), population(logs[::-1])
@@ -123,27 +123,27 @@ def test_the_order_of_the_logs_does_not_matter() -> None:
     assert [u.unit for u in other.units] == [u.unit for u in one.units][::-1]
 
 
-def test_intervals_cover() -> None:
-    """Twenty fleets of 10 units with 3 logs: median, spreads and bound, each in about 95 % of them."""
+def test_intervals_have_the_nominal_coverage() -> None:
+    """In 20 fleets of 10 units with 3 logs, median, spreads and bound each cover in about 95 %."""
     rng = np.random.default_rng(4501)
     tau, omega = 0.2, 0.1
-    held = np.zeros(4)
+    covered = np.zeros(4)
     for _ in range(20):
         found = population(strong_fleet(rng, units=10, logs=3, tau=tau, error=0.05, omega=omega))
         assert found.spread is not None
         assert found.within is not None
-        held += [
+        covered += [
             found.median.low <= 1 <= found.median.high,
             found.spread.low <= tau <= found.spread.high,
             found.within.low <= omega <= found.within.high,
             (found.tolerance or 0.0) >= math.exp(ndtri(0.95) * tau),
         ]
-    assert (held >= 16).all()
+    assert (covered >= 16).all()
 
 
 @pytest.mark.slow
 def test_a_weak_term_is_pooled_without_bias() -> None:
-    """Two thirds of the units only bound it; their likelihoods still tell the median and the spread."""
+    """Two thirds of the units only bound it, but their likelihoods determine the median and the spread."""
     rng = np.random.default_rng(4502)
     found = [population(weak_fleet(rng, units=20, tau=0.3, error=0.8)) for _ in range(6)]
     assert np.mean([f.median.low <= 1 <= f.median.high for f in found]) > 0.6
@@ -156,10 +156,8 @@ def test_a_weak_term_is_pooled_without_bias() -> None:
 @pytest.mark.parametrize(
     ("units", "logs", "tau", "error"), [(6, 2, 0.1, 5.0), (10, 1, 0.3, 2.0), (24, 3, 0.3, 8.0)]
 )
-def test_what_all_logs_only_bound_has_bounds_that_hold(
-    units: int, logs: int, tau: float, error: float
-) -> None:
-    """Median, next unit and tolerance; a fleet that by chance shows the term has intervals that hold."""
+def test_a_bounded_term_has_valid_bounds(units: int, logs: int, tau: float, error: float) -> None:
+    """They are for median, next unit and tolerance; fleets that detect the term by chance also cover."""
     rng = np.random.default_rng(4505)
     found = [population(weak_fleet(rng, units=units, logs=logs, tau=tau, error=error)) for _ in range(6)]
     bounded = [f for f in found if f.bounded]
@@ -171,8 +169,8 @@ def test_what_all_logs_only_bound_has_bounds_that_hold(
     assert sum((f.tolerance or 0) >= math.exp(ndtri(0.95) * tau) for f in found) >= 5
 
 
-def test_a_bound_is_that_of_the_mean_square() -> None:
-    """Against the cut normal law by SciPy; the worst lognormal law touches the bound of a share."""
+def test_a_bound_follows_from_the_mean_square() -> None:
+    """SciPy's truncated normal law is the reference; the worst lognormal law reaches the bound of a share."""
     logs = [
         LogValue(unit=f"u{i}", value=None, low=0.0, high=3.0, variance=v, variance_sd=2.0)
         for i, v in enumerate((0.5, -0.3, 1.0, 0.2))
@@ -185,7 +183,7 @@ def test_a_bound_is_that_of_the_mean_square() -> None:
     spreads = np.linspace(0, 3, 3001)
     worst = np.max(np.exp(ndtri(0.95) * spreads - spreads**2))
     assert square.share_bound(0.95, 0.9) == pytest.approx(square.bound(0.9) * worst, rel=1e-6)
-    # Units that scatter more than their errors widen it; one that shows the term decides nothing alone.
+    # Units with more scatter than their errors widen it; one unit alone does not make the term detected.
     wide = MeanSquare(LogValues.of([replace(log, variance=10 * (log.variance or 0.0)) for log in logs]))
     scale = math.sqrt(89 / (4 * 3))
     law = stats.truncnorm(-3.5 / scale, math.inf, loc=3.5, scale=scale)
@@ -194,8 +192,8 @@ def test_a_bound_is_that_of_the_mean_square() -> None:
     assert MeanSquare(LogValues.of([replace(log, variance=6.0) for log in logs])).shows
 
 
-def test_an_odd_unit_is_found_and_others_are_not() -> None:
-    """Six spreads off, also in a fleet whose units are mostly bounded; clean fleets have none."""
+def test_only_the_odd_unit_is_found() -> None:
+    """It is six spreads away, also in a fleet of mostly bounded units; other fleets have no odd unit."""
     rng = np.random.default_rng(46)
     for logs, factor in (
         (strong_fleet(rng, units=20, tau=0.1, error=0.02), math.exp(0.6)),
@@ -207,8 +205,8 @@ def test_an_odd_unit_is_found_and_others_are_not() -> None:
         assert [u.unit for u in found.units if u.odd] == ["odd"]
 
 
-def test_leave_one_out_is_the_plain_t_test() -> None:
-    """With equal weights: each unit against the mean and standard deviation of the others."""
+def test_leave_one_out_agrees_with_the_t_test() -> None:
+    """With equal weights, each unit is compared with the mean and standard deviation of the others."""
     y = np.random.default_rng(47).standard_normal(7)
     p = leave_one_out(y, np.full(7, 1e-9), 1.0)
     others = np.delete(y, 2)
@@ -231,8 +229,8 @@ def _uneven_fleet(rng: np.random.Generator, odd: float) -> list[LogValue]:
 
 
 @pytest.mark.slow
-def test_units_known_unequally_are_called_odd_rarely() -> None:
-    """Spreads between and within units are not known; of 25 such fleets 5 % have a false alarm."""
+def test_the_false_alarm_rate_of_unequal_units_is_five_per_cent() -> None:
+    """The spreads between and within units are unknown in these 25 fleets."""
     rng = np.random.default_rng(4503)
     alarms = [any(u.odd for u in population(_uneven_fleet(rng, 0.0)).units) for _ in range(25)]
     assert np.mean(alarms) <= 0.05 + 3 * math.sqrt(0.05 * 0.95 / 25)
@@ -241,7 +239,7 @@ def test_units_known_unequally_are_called_odd_rarely() -> None:
 
 
 def test_scatter_of_logs_makes_a_unit_less_odd() -> None:
-    """The chance of a squared coefficient is that of one drawn from the spread, the scatter and the error."""
+    """The reference p-value is from draws with the spread, the scatter and the error."""
     rng = np.random.default_rng(4504)
     values = LogValues.of(strong_fleet(rng, units=30, tau=0.2, error=0.01))
     posterior = Posterior(values, np.zeros(1))
@@ -255,14 +253,14 @@ def test_scatter_of_logs_makes_a_unit_less_odd() -> None:
     assert narrow < wide / 2
 
 
-def test_p_values_are_adjusted_as_scipy_does() -> None:
-    """Benjamini and Hochberg's procedure."""
+def test_adjusted_p_values_agree_with_scipy() -> None:
+    """The method is Benjamini and Hochberg's procedure."""
     p = np.random.default_rng(48).random(30) ** 2
     assert adjusted(p) == pytest.approx(stats.false_discovery_control(p))
 
 
-def test_few_units_have_no_spread_with_a_finding() -> None:
-    """One or two units: what they are, and what is missing."""
+def test_two_units_have_no_spread_but_a_finding() -> None:
+    """The median is still estimated."""
     found = population(strong_fleet(np.random.default_rng(49), units=2, tau=0.1, error=0.1))
     assert found.spread is None
     assert found.tolerance is None
@@ -273,8 +271,8 @@ def test_few_units_have_no_spread_with_a_finding() -> None:
     assert found.median.low < found.median.value < found.median.high
 
 
-def test_a_prediction_holds_the_next_unit() -> None:
-    """Its mean content is the level."""
+def test_a_prediction_contains_the_next_unit() -> None:
+    """The mean probability content of the intervals equals the level."""
     rng = np.random.default_rng(50)
     inside = []
     for _ in range(25):
@@ -297,14 +295,13 @@ def test_a_prediction_holds_the_next_unit() -> None:
         {"level": 1.0},
     ],
 )
-def test_impossible_values_are_refused(wrong: dict[str, float]) -> None:
-    """With the unit and what was expected."""
+def test_impossible_values_are_rejected(wrong: dict[str, float]) -> None:
+    """The error contains the unit."""
     with pytest.raises(ValueError, match="u1: "):
         LogValue(unit="u1", **({"value": 1.0, "low": 0.5, "high": 1.5} | wrong))
 
 
-def test_no_logs_and_impossible_shares_are_refused() -> None:
-    """In a sentence."""
+def test_no_logs_and_impossible_shares_are_rejected() -> None:
     with pytest.raises(ValueError, match="at least one log"):
         population([])
     logs = strong_fleet(np.random.default_rng(51), units=3, tau=0.1, error=0.1)
@@ -312,12 +309,12 @@ def test_no_logs_and_impossible_shares_are_refused() -> None:
         population(logs, content=95)
 
 
-def test_a_term_that_no_log_shows_is_bounded() -> None:
-    """Of logs that tell the square of 1 to 8 each, the median unit and the spread are said not to be known.
+def test_an_undetected_term_is_bounded() -> None:
+    """Each log's error of the square is 8, so the median unit and the spread are unknown.
 
-    The limits still hold the truth: in five fleets, one miss would be chance, three would not.
+    The limits still cover the truth: in five fleets, one miss may be chance, but not three.
     """
-    held = []
+    covered = []
     for seed in range(5):
         found = population(weak_fleet(np.random.default_rng([81, seed]), units=8, logs=2, tau=0.3, error=8.0))
         assert found.bounded
@@ -328,24 +325,23 @@ def test_a_term_that_no_log_shows_is_bounded() -> None:
         assert found.prediction is not None
         assert found.prediction[0] == 0.0
         assert [finding.code for finding in found.findings] == ["weak-term"]
-        held.append(found.median.high >= 1 and (found.tolerance or 0.0) >= math.exp(1.645 * 0.3))
-    assert sum(held) >= 3
+        covered.append(found.median.high >= 1 and (found.tolerance or 0.0) >= math.exp(1.645 * 0.3))
+    assert sum(covered) >= 3
 
 
 @pytest.mark.slow
-def test_limits_of_a_weak_median_hold_it() -> None:
-    """Ten units that tell the square to 0.8 each: a posterior that leans to zero does not drag them along."""
+def test_limits_of_a_weak_median_cover_it() -> None:
+    """Ten units have an error of the square of 0.8; the posterior's tail to zero does not bias the limits."""
     found = [
         population(weak_fleet(np.random.default_rng([82, seed]), units=10, tau=0.3, error=0.8))
         for seed in range(8)
     ]
     assert sum(one.median.low <= 1 <= one.median.high for one in found) >= 6
-    told = [math.log(one.median.value) for one in found if not one.bounded]
-    assert abs(np.mean(told)) < 0.25
+    informative = [math.log(one.median.value) for one in found if not one.bounded]
+    assert abs(np.mean(informative)) < 0.25
 
 
-def test_units_without_any_value_are_bounded_below_three_too() -> None:
-    """Two bounds are a bound."""
+def test_two_bounded_units_have_a_bound() -> None:
     found = population([LogValue(unit=u, value=None, low=0.0, high=h) for u, h in (("a", 2.0), ("b", 3.0))])
     assert found.bounded
     assert found.median.value == found.median.high == pytest.approx(3.0, rel=0.01)
@@ -353,8 +349,8 @@ def test_units_without_any_value_are_bounded_below_three_too() -> None:
 
 @pytest.mark.parametrize("logs", [1, 3])
 @pytest.mark.parametrize("error", [0.004, 0.1])
-def test_a_new_log_is_judged_as_by_the_whole_posterior(logs: int, error: float) -> None:
-    """The law of the next log, at 801 points, gives the p-values of the sum over all of the posterior."""
+def test_membership_agrees_with_the_full_posterior(logs: int, error: float) -> None:
+    """The law of the next log at 801 points gives the same p-values as a sum over the posterior."""
     rng = np.random.default_rng(4711)
     fleet = strong_fleet(rng, units=7, logs=logs, tau=0.2, error=error)
     values = LogValues.of(fleet)
@@ -365,12 +361,12 @@ def test_a_new_log_is_judged_as_by_the_whole_posterior(logs: int, error: float) 
             unit="new", value=value, low=value * math.exp(-1.96 * error), high=value * math.exp(1.96 * error)
         )
         exact = posterior.p_value(LogValues.of([new]))
-        # Points lie 0.015 deviations apart; what is less probable than 1e-7 is left out.
+        # The points are 0.015 deviations apart; probabilities below 1e-7 are omitted.
         assert membership(found, new) == pytest.approx(exact, rel=0.01, abs=1e-5)
 
 
-def test_the_law_of_the_next_log_is_that_of_every_point_of_the_posterior() -> None:
-    """Normal laws that are nearly the same are merged, which moves no chance by as much as 2e-5."""
+def test_the_law_of_the_next_log_agrees_with_the_posterior() -> None:
+    """Nearly equal normal laws are merged, which changes probabilities by less than 2e-5."""
     values = LogValues.of(weak_fleet(np.random.default_rng(31), units=12, logs=2, tau=0.3, error=0.3))
     posterior = Posterior.whole(values)
     assert len(posterior.omega) > 1

@@ -1,4 +1,4 @@
-"""Estimates of squared coefficients: SciPy's gamma law as the exact one, and its limits."""
+"""Tests of estimates of squared coefficients, compared with SciPy's gamma law."""
 
 import numpy as np
 import numpy.testing as npt
@@ -16,14 +16,14 @@ def _squares(growth: float) -> Squares:
 
 
 def _exact(squares: Squares) -> dict[str, FloatArray]:
-    """Return the chi-square of each square of the grid and its background, less the background."""
+    """Return the gamma parameters for each square of the grid plus its background, minus the background."""
     background, growth = (squares.sd / squares.growth)[:, None], squares.growth[:, None]
     return {"a": growth**-2.0, "loc": -background, "scale": (GRID + background) * growth**2}
 
 
 @pytest.mark.parametrize("growth", [0.05, 0.3, 0.7])
 def test_the_law_is_a_chi_square_on_a_background(growth: float) -> None:
-    """Likelihood and chance against SciPy's; mean and deviation are what they are said to be."""
+    """Likelihood, probability, mean and standard deviation agree with SciPy."""
     squares = _squares(growth)
     law, estimate = _exact(squares), squares.estimate[:, None]
     npt.assert_allclose(stats.gamma.mean(**law), np.broadcast_to(GRID, (3, 61)), atol=1e-12)
@@ -31,15 +31,15 @@ def test_the_law_is_a_chi_square_on_a_background(growth: float) -> None:
     npt.assert_allclose(stats.gamma.std(**law), deviations)
     ours, exact = squares.log_likelihood(GRID), np.asarray(stats.gamma.logpdf(estimate, **law))
     npt.assert_allclose(ours - ours[:, :1], exact - exact[:, :1], atol=1e-7)
-    # Far below, the law of an estimate beside others that are not known has a longer tail.
+    # Far below, the law has a longer tail because other coefficients are unknown.
     normal = stats.norm.cdf((estimate - GRID) / deviations)
     chance = stats.gamma.cdf(estimate, **law)
     exact = np.where(estimate < GRID, np.maximum(normal, chance), chance)
     npt.assert_allclose(squares.below(GRID), exact, atol=0.006)
 
 
-def test_a_deviation_that_does_not_grow_is_a_normal_law() -> None:
-    """And one that hardly grows is nearly so: there is no step between the two."""
+def test_a_constant_deviation_gives_a_normal_law() -> None:
+    """A deviation that hardly grows is nearly normal, without a jump between the two."""
     plain, nearly = _squares(0.0), _squares(1.01e-4)
     exact = np.asarray(stats.norm.logpdf(plain.estimate[:, None], GRID, plain.sd[:, None]))
     ours = plain.log_likelihood(GRID)
@@ -52,7 +52,7 @@ def test_a_deviation_that_does_not_grow_is_a_normal_law() -> None:
 
 @pytest.mark.parametrize("growth", [0.0, 0.5])
 def test_the_most_likely_square_is_the_estimate(growth: float) -> None:
-    """Or zero, where that is negative; the likelihood is one there, also of an impossible estimate."""
+    """For a negative estimate it is zero; the maximum is 1, also for an impossible estimate."""
     squares = Squares(np.array([2.0, -0.3, -5.0]), np.full(3, 0.5), np.full(3, growth))
     height = squares.log_likelihood(np.linspace(0, 8, 801))
     assert height.argmax(axis=1).tolist() == [200, 0, 0]
@@ -62,7 +62,7 @@ def test_the_most_likely_square_is_the_estimate(growth: float) -> None:
 
 
 def test_the_mean_of_a_group_has_the_error_of_independent_estimates() -> None:
-    """Weights are best at the square that is named; alike ones have the deviation over the root of n."""
+    """Weights are optimal at the given square; n equal estimates have the deviation over sqrt(n)."""
     squares = Squares(np.array([1.0, 3.0, 2.0]), np.array([0.6, 0.6, 0.1]), np.array([0.4, 0.4, 0.2]))
     found = squares.mean_by(np.array([0, 0, 1]), 2.0)
     npt.assert_allclose(found.estimate, [2.0, 2.0])
@@ -76,8 +76,8 @@ def test_the_mean_of_a_group_has_the_error_of_independent_estimates() -> None:
     npt.assert_allclose(one.deviation(2.0), weight.sum() ** -0.5)
 
 
-def test_a_pooled_square_has_no_bias_though_deviations_are_wrong() -> None:
-    """Weights at one square for all do not follow the draws: 4000 of the law, weighted as if of another."""
+def test_a_pooled_square_is_unbiased_with_wrong_deviations() -> None:
+    """Weights at one common square do not depend on the draws: 4000 draws with wrong deviations."""
     rng = np.random.default_rng(77)
     truth, sd, growth = 1.0, 0.2, 0.5
     background = sd / growth

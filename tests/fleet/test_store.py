@@ -1,4 +1,4 @@
-"""The store of a fleet: parts are whole or not there, keys count once, labels are the manifest's."""
+"""Tests of the store of a fleet: damaged parts, unique keys and labels."""
 
 import multiprocessing
 import re
@@ -13,14 +13,14 @@ from imucal.fleet.store import LOGS, MANIFEST, RESULTS, FleetStore
 
 
 def manifest(*rows: dict[str, Any]) -> pl.DataFrame:
-    """Return rows as a manifest; what is missing is null."""
+    """Return rows as a manifest; missing cells are null."""
     free = {name for row in rows for name in row} - set(MANIFEST)
     schema = {**MANIFEST, **dict.fromkeys(sorted(free), pl.String())}
     return pl.DataFrame([[row.get(name) for name in schema] for row in rows], schema=schema, orient="row")
 
 
 def log(name: str, **more: Any) -> dict[str, Any]:  # noqa: ANN401 - values of any column
-    """Return the commit record of a log that went well."""
+    """Return the commit record of a successful log."""
     row = {
         "key": f"key-{name}",
         "path": f"{name}.mcap",
@@ -43,7 +43,7 @@ def bin_row(name: str) -> dict[str, Any]:
 
 
 def fleet(folder: Path, *names: str) -> FleetStore:
-    """Return a store where each of some logs was committed by itself."""
+    """Return a store with a separate commit of each log."""
     store = FleetStore(folder / "fleet")
     store.create()
     store.add_to_manifest(manifest(*({"path": f"{name}.mcap"} for name in names)))
@@ -52,8 +52,8 @@ def fleet(folder: Path, *names: str) -> FleetStore:
     return store
 
 
-def test_what_was_committed_is_read_back(tmp_path: Path) -> None:
-    """Every column, and null where nothing was said."""
+def test_committed_rows_are_read_back(tmp_path: Path) -> None:
+    """All columns are equal, and missing values are null."""
     store = fleet(tmp_path, "a", "b")
     store.commit([log("c", status="unreadable", reason="no such file", findings=[])])
     logs = store.logs()
@@ -67,7 +67,7 @@ def test_what_was_committed_is_read_back(tmp_path: Path) -> None:
 
 
 def test_a_new_store_is_empty(tmp_path: Path) -> None:
-    """Before the first part there are tables without rows."""
+    """Before the first part, the tables have no rows."""
     store = fleet(tmp_path)
     assert store.logs().is_empty()
     assert store.results().is_empty()
@@ -75,7 +75,7 @@ def test_a_new_store_is_empty(tmp_path: Path) -> None:
 
 
 def test_results_without_their_commit_record_do_not_count(tmp_path: Path) -> None:
-    """A process that ended between the parts has done nothing."""
+    """A process that was killed between the parts has not finished its logs."""
     store = fleet(tmp_path, "a", "b")
     part = store.logs().filter(pl.col("key") == "key-a")["part"].item()
     (store.folder / "logs" / part).unlink()
@@ -86,14 +86,16 @@ def test_results_without_their_commit_record_do_not_count(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("table", ["bins", "results", "logs"])
 @pytest.mark.parametrize("keep", [0.0, 0.02, 0.5, 0.99])
-def test_a_part_cut_off_is_refused_until_it_is_mended(tmp_path: Path, table: str, keep: float) -> None:
-    """Then none of the log's three parts is left, so that the next run does the log again."""
+def test_a_truncated_part_is_rejected_until_it_is_repaired(tmp_path: Path, table: str, keep: float) -> None:
+    """The repair removes the three parts of the log, so the next run repeats it."""
     store = fleet(tmp_path, "a", "b")
     part = store.folder / table / store.logs().filter(pl.col("key") == "key-a")["part"].item()
     data = part.read_bytes()
     part.write_bytes(data[: int(keep * len(data))])
-    said = re.escape(f"{part}: is damaged or from an earlier version; run the fleet again to repeat its logs")
-    with pytest.raises(StoreError, match=f"^{said}"):
+    message = re.escape(
+        f"{part}: is damaged or from an earlier version; run the fleet again to repeat its logs"
+    )
+    with pytest.raises(StoreError, match=f"^{message}"):
         store.refuse_damage()
     assert store.mend() == [part]
     store.refuse_damage()
@@ -103,8 +105,8 @@ def test_a_part_cut_off_is_refused_until_it_is_mended(tmp_path: Path, table: str
     assert store.results()["value"].to_list() == [3e-4, 1e-4]
 
 
-def test_a_missing_part_of_three_is_as_a_damaged_one(tmp_path: Path) -> None:
-    """Whose results were removed is not done."""
+def test_a_missing_part_counts_as_damaged(tmp_path: Path) -> None:
+    """A log without its results is not done."""
     store = fleet(tmp_path, "a", "b")
     part = store.logs().filter(pl.col("key") == "key-a")["part"].item()
     (store.folder / "results" / part).unlink()
@@ -112,25 +114,23 @@ def test_a_missing_part_of_three_is_as_a_damaged_one(tmp_path: Path) -> None:
     assert store.logs()["key"].to_list() == ["key-b"]
 
 
-def test_a_part_with_other_columns_is_as_a_damaged_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As another version writes it: a column that is missing would be taken for one without numbers."""
+def test_a_part_with_other_columns_counts_as_damaged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another version may lack a column, which must not be read as missing numbers."""
     store = fleet(tmp_path, "a")
     monkeypatch.setitem(RESULTS, "later", pl.Float64())
     with pytest.raises(StoreError, match=r"results/part-.*: is damaged or from an earlier version; run"):
         store.refuse_damage()
 
 
-def test_other_programs_read_the_parts(tmp_path: Path) -> None:
-    """The checksum stands where a parquet file may have anything."""
+def test_other_programs_can_read_the_parts(tmp_path: Path) -> None:
+    """The checksum is in metadata that Parquet allows."""
     store = fleet(tmp_path, "a")
     for part in store.folder.rglob("*.parquet"):
         assert pl.read_parquet(part).height == pl.scan_parquet(part).collect().height == 1
 
 
-def test_answers_are_kept_by_their_keys(tmp_path: Path) -> None:
-    """Those that are asked for, and only those; a damaged part of them is removed alone."""
+def test_derived_results_are_stored_by_key(tmp_path: Path) -> None:
+    """Only requested keys are returned, and only a damaged part of them is removed."""
     store = fleet(tmp_path, "a")
     assert store.derived(["x"]) == {}
     store.keep_derived({"x": "1", "y": "2"})
@@ -143,8 +143,8 @@ def test_answers_are_kept_by_their_keys(tmp_path: Path) -> None:
     assert store.logs().height == 1
 
 
-def test_the_same_key_twice_counts_once(tmp_path: Path) -> None:
-    """The newest success; a failure after it does not undo it."""
+def test_a_repeated_key_counts_once(tmp_path: Path) -> None:
+    """The newest success counts, even if a failure follows."""
     store = fleet(tmp_path, "a")
     store.commit([log("a", finished=3.0)], [result("a", 3e-4)], [bin_row("a")])
     store.commit([log("a", finished=2.0)], [result("a", 2e-4)], [bin_row("a")])
@@ -154,16 +154,16 @@ def test_the_same_key_twice_counts_once(tmp_path: Path) -> None:
     assert store.bins().height == 1
 
 
-def test_the_same_path_with_a_new_content_counts_once(tmp_path: Path) -> None:
-    """A log that was written anew is known by what is in it now."""
+def test_a_path_with_new_content_counts_once(tmp_path: Path) -> None:
+    """The newest content counts."""
     store = fleet(tmp_path, "a")
     store.commit([log("a", key="key-new", finished=2.0)], [result("a", 5e-4, key="key-new")])
     assert store.logs()["key"].to_list() == ["key-new"]
     assert store.results()["value"].to_list() == [5e-4]
 
 
-def test_labels_are_those_of_the_manifest(tmp_path: Path) -> None:
-    """A label mended after the run costs no second run; one that only the log has stays."""
+def test_the_manifest_overrides_labels(tmp_path: Path) -> None:
+    """A corrected label does not require another run; labels that only the log has are kept."""
     store = fleet(tmp_path, "a", "b")
     started = "2026-01-02T12:00:00Z"
     store.commit([log("b", finished=2.0, unit="old", started=started)], [result("b")], [bin_row("b")])
@@ -180,8 +180,8 @@ def test_labels_are_those_of_the_manifest(tmp_path: Path) -> None:
     assert store.manifest()["note"].to_list() == [None, "odd"]
 
 
-def test_a_log_that_was_moved_keeps_its_result_and_gets_the_new_labels(tmp_path: Path) -> None:
-    """The manifest knows under which path its content was done."""
+def test_a_moved_log_keeps_its_result_and_gets_new_labels(tmp_path: Path) -> None:
+    """The manifest contains the path of the original."""
     store = fleet(tmp_path, "a")
     store.add_to_manifest(manifest({"path": "new/a.mcap", "unit": "7", "copy_of": "a.mcap"}))
     assert store.logs()["unit"].to_list() == [None]
@@ -191,8 +191,8 @@ def test_a_log_that_was_moved_keeps_its_result_and_gets_the_new_labels(tmp_path:
     assert store.results()["unit"].to_list() == ["7"]
 
 
-def test_what_is_no_fleet_is_refused(tmp_path: Path) -> None:
-    """With what to do, and nothing is changed."""
+def test_a_folder_without_a_fleet_is_rejected(tmp_path: Path) -> None:
+    """The error contains advice, and the folder is not changed."""
     store = FleetStore(tmp_path)
     (tmp_path / "thesis.tex").write_text("x")
     with pytest.raises(WriteError, match=r"contains thesis\.tex but no imucal fleet; nothing was"):
@@ -205,8 +205,8 @@ def test_what_is_no_fleet_is_refused(tmp_path: Path) -> None:
         store.manifest()
 
 
-def test_a_folder_that_can_not_be_made_is_an_error(tmp_path: Path) -> None:
-    """As where a file stands in its way."""
+def test_a_folder_that_cannot_be_created_is_an_error(tmp_path: Path) -> None:
+    """A file has the name of its parent."""
     (tmp_path / "file").write_text("x")
     with pytest.raises(WriteError, match=r"file/fleet: can't be written: Not a directory; free some"):
         FleetStore(tmp_path / "file" / "fleet").create()
@@ -219,9 +219,9 @@ def _add(folder: Path, names: list[str]) -> None:
         store.commit([log(name)], [result(name)], [bin_row(name)], shard=name)
 
 
-def test_two_processes_may_write_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_processes_can_write_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """No row of the manifest and no log is lost."""
-    # Where the new processes find this module.
+    # The new processes import this module from there.
     monkeypatch.syspath_prepend(Path(__file__).parents[2])
     store = fleet(tmp_path)
     context = multiprocessing.get_context("spawn")
@@ -235,8 +235,8 @@ def test_two_processes_may_write_at_once(tmp_path: Path, monkeypatch: pytest.Mon
     assert store.logs().height == store.results().height == 30
 
 
-def test_a_new_start_forgets_everything(tmp_path: Path) -> None:
-    """Parts, manifest and single reports."""
+def test_clearing_a_store_removes_everything(tmp_path: Path) -> None:
+    """It removes parts, manifest and reports of logs."""
     store = fleet(tmp_path, "a")
     (store.folder / "reports" / "x").mkdir(parents=True)
     store.clear()
@@ -245,11 +245,11 @@ def test_a_new_start_forgets_everything(tmp_path: Path) -> None:
     assert not (store.folder / "reports").exists()
 
 
-def test_bins_are_read_group_by_group(tmp_path: Path) -> None:
-    """Those of each group's logs, whichever parts they stand in; all at once they are the same rows."""
+def test_bins_are_read_by_groups(tmp_path: Path) -> None:
+    """Groups contain the bins of their logs from all parts; together they equal a complete read."""
     store = fleet(tmp_path, "a", "b", "c")
     store.commit([log("d"), log("e")], [], [bin_row("d"), bin_row("e")])
-    # Done again: only the newest counts.
+    # The log is repeated; only the newest bins count.
     store.commit([log("a", finished=2.0)], [], [{**bin_row("a"), "bins": b"again"}])
     groups = [["key-e", "key-a"], [], ["key-b", "key-unknown"], ["key-c", "key-d"]]
     frames = [store.bins(keys) for keys in groups]

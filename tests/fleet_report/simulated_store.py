@@ -1,4 +1,4 @@
-"""Stores of simulated fleets: what the logs of many units would say, without the logs."""
+"""Stores of simulated fleets: the results of many units without logs."""
 
 import math
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ TERMS = {
     ("accelerometer", "B"): ("m/s^2", 2.0e-4, 0.2, 0.05),
     ("accelerometer", "K"): ("m/s^2/sqrt(s)", 2.5e-5, 0.3, 0.3),
 }
-#: A unit's coefficient moves so much a °C and a year.
+#: Relative change of a unit's coefficient per °C and per year.
 PER_C, PER_YEAR = 0.003, 0.02
 
 
@@ -43,13 +43,12 @@ def write_store(
     absent: str = "",
     names: Sequence[str] = (),
 ) -> FleetStore:
-    """Write the store of a fleet: by `special`, unit 7 is odd in gyro_z N.
+    """Write the store of a fleet; if `special`, unit 7 is odd in gyro_z N.
 
-    Only K of the gyroscope's axes in `weak` is weak: that takes the most time.
-    Of the gyroscope's axes in `absent`, no log shows K. Where there are `names`, such as gyro_x, the
-    logs have no other axes, each of which takes its time.
-    Where there are `times`, gyro_x has a Gauss-Markov term, with these correlation times by turns.
-    `bins` units carry binned spectra of short records too, of which the last one's records differ.
+    Only K of the gyroscope's axes in `weak` is weak, because weak terms take the most time. No log detects K
+    of the gyroscope's axes in `absent`. With `names`, such as gyro_x, the logs have only these axes. With
+    `times`, gyro_x has a Gauss-Markov term with these correlation times in turn. `bins` units also have
+    binned spectra of short records; the records of the last one differ.
     """
     store = FleetStore(folder)
     store.create()
@@ -74,10 +73,10 @@ def write_store(
                 )
                 key = f"{number:02}{unit:04}{place:02}"
                 logs.append(_log(key, path, model, f"u{unit:02}" if labelled else None, celsius, place))
-                told = _results(rng, key, own, celsius, place, weak)
+                precision = _results(rng, key, own, celsius, place, weak)
                 results += [
                     _hidden(row, absent)
-                    for row in told
+                    for row in precision
                     if not names or f"{Sensor(row['sensor']).short}_{row['axis']}" in names
                 ]
                 if times:
@@ -142,7 +141,7 @@ def _results(  # noqa: PLR0917
                 "term": term,
                 "unit_si": unit,
                 "level": 0.95,
-                **_told(rng, median * math.exp(moved), _error(sensor, axis, error, weak), median=median),
+                **_drawn(rng, median * math.exp(moved), _error(sensor, axis, error, weak), median=median),
             }
         )
     return rows
@@ -165,34 +164,34 @@ def _hidden(row: dict[str, Any], absent: str) -> dict[str, Any]:
 def _markov(rng: np.random.Generator, key: str, time: float | None) -> dict[str, Any]:
     """Return a row of a Gauss-Markov term of gyro_x, of 3e-5 rad/s."""
     row = {"key": key, "sensor": "gyroscope", "axis": "x", "term": "GM", "unit_si": "rad/s", "level": 0.95}
-    return {**row, **_told(rng, 3e-5, (0.1, False), median=3e-5), "correlation_time": time}
+    return {**row, **_drawn(rng, 3e-5, (0.1, False), median=3e-5), "correlation_time": time}
 
 
 def _error(sensor: str, axis: str, error: float, weak: str) -> tuple[float, bool]:
-    """Return the error of a term, and whether it is weak: of the gyroscope's axes in `weak` alone."""
+    """Return the error of a term and whether it is weak, as K of the gyroscope's axes in `weak`."""
     if error < 0.3:
         return error, False
     return (error, True) if sensor == "gyroscope" and axis in weak else (0.1, False)
 
 
-def _told(
+def _drawn(
     rng: np.random.Generator,
     truth: float,
-    told: tuple[float, bool],
+    precision: tuple[float, bool],
     *,
     median: float,
 ) -> dict[str, float | None]:
-    error, weak = told
+    error, weak = precision
     if not weak:
         value = truth * math.exp(error * rng.standard_normal())
         low, high = value * math.exp(-Z * error), value * math.exp(Z * error)
         return {"value": value, "low": low, "high": high, "variance": None, "variance_sd": None}
     sd = error * median**2
     square = truth**2 + sd * rng.standard_normal()
-    shown = square > Z * sd
+    detected = square > Z * sd
     return {
-        "value": math.sqrt(square) if shown else None,
-        "low": math.sqrt(square - Z * sd) if shown else 0.0,
+        "value": math.sqrt(square) if detected else None,
+        "low": math.sqrt(square - Z * sd) if detected else 0.0,
         "high": math.sqrt(max(square, 0.0) + Z * sd),
         "variance": square,
         "variance_sd": sd,

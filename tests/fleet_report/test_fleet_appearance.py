@@ -1,4 +1,4 @@
-"""What a reader of a fleet's page and pictures meets: units, words, ticks, empty columns, print."""
+"""Tests of the appearance of a fleet's page and pictures: units, texts, ticks, empty columns and print."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ from tests.fleet_report.simulated_store import write_store
 
 @pytest.fixture(scope="module")
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> Fleet:
-    """Return eight units, u07 of which is odd."""
+    """Return a fleet of eight units; u07 is odd."""
     place = tmp_path_factory.mktemp("fleets") / "fleet"
     write_store(place, units=8, weak="", failures=False, names=("gyro_x", "gyro_z"))
     return imucal.load_fleet(place, unit_logs=False)
@@ -29,7 +29,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Fleet:
 
 @pytest.fixture(scope="module")
 def one_axis(fleet: Fleet) -> Fleet:
-    """Return the same of gyro_z alone, without a model's name."""
+    """Return the fleet with gyro_z only and without the model's name."""
     model = fleet.model()
     terms = tuple(term for term in model.terms if term.name == "gyro_z")
     return replace(fleet, models=(replace(model, name="", terms=terms),))
@@ -38,16 +38,16 @@ def one_axis(fleet: Fleet) -> Fleet:
 @pytest.mark.parametrize(
     ("p", "text"), [(0.0046, "p = 0.0046"), (1e-4, "p = 0.0001"), (1.4e-7, "p < 0.0001"), (0.0, "p < 0.0001")]
 )
-def test_no_chance_is_zero(p: float, text: str) -> None:
-    """Nor is 1e-58 a probability that anyone believes."""
+def test_a_p_value_is_never_printed_as_zero(p: float, text: str) -> None:
+    """Tiny values such as 1e-58 are printed as an upper limit."""
     assert p_text(p) == text
 
 
 @pytest.mark.parametrize(
     ("low", "high", "last"), [(4000.0, 12500.0, "12000"), (400.0, 1.2e4, "10000"), (2e-5, 9e-5, "8")]
 )
-def test_ticks_are_all_of_one_kind(low: float, high: float, last: str) -> None:
-    """Not 8000 beside 10⁴."""
+def test_ticks_have_one_notation(low: float, high: float, last: str) -> None:
+    """Labels such as 8000 and 10⁴ are not mixed."""
     places, labels, power = labelled_ticks(low, high)
     assert labels[-1] == last
     assert not any("⁰" <= c <= "⁹" or c in "²³×" for label in labels for c in label)
@@ -55,16 +55,16 @@ def test_ticks_are_all_of_one_kind(low: float, high: float, last: str) -> None:
     assert [float(label) * factor for label in labels] == pytest.approx(places)
 
 
-def test_the_name_of_a_model_stays_as_it_is(fleet: Fleet) -> None:
-    """A sentence that begins with it does not begin with a capital."""
+def test_the_name_of_a_model_is_not_capitalised(fleet: Fleet) -> None:
+    """A sentence may begin with the name."""
     model = fleet.model()
     both = replace(fleet, models=(replace(model, name="acme-6"), replace(model, name="bolt-9")))
     assert verdict(fleet)[1].startswith("Odd unit u07 (gyro_z N)")
     assert verdict(both)[1].startswith("acme-6: odd unit u07 (gyro_z N)")
 
 
-def test_one_axis_fills_the_page(one_axis: Fleet) -> None:
-    """No column of axes that it has not, no name of a model that has none."""
+def test_a_fleet_of_one_axis_has_one_column(one_axis: Fleet) -> None:
+    """The page has no columns for missing axes and no empty model name."""
     page = html.fromstring(render_fleet_page(one_axis))
     assert [head.text for head in page.cssselect("table.config thead th")] == ["z"]
     units = page.get_element_by_id("units-0")
@@ -73,7 +73,7 @@ def test_one_axis_fills_the_page(one_axis: Fleet) -> None:
 
 
 def test_bands_and_prices_are_short(fleet: Fleet) -> None:
-    """One unit a band; each number of units once."""
+    """A band has its unit once, and each number of units appears once."""
     term = fleet.model()["gyro_x", "N"]
     (now, excess), *_ = term.price
     assert price_text(term).startswith(f"{excess:.2f}\N{NO-BREAK SPACE}× with {now}, ")
@@ -87,7 +87,7 @@ def test_bands_and_prices_are_short(fleet: Fleet) -> None:
 
 
 def test_the_first_failures_are_visible(fleet: Fleet) -> None:
-    """Print has no folded lists."""
+    """Printed pages cannot unfold lists."""
     log = fleet.logs[0]
     failed = tuple(_failed(log, f"bad{i}.mcap") for i in range(7))
     page = html.fromstring(render_fleet_page(replace(fleet, logs=fleet.logs + failed)))
@@ -103,7 +103,7 @@ def _failed(log: FleetLog, path: str) -> FleetLog:
 
 
 def test_pictures_have_all_text_inside_their_frames(one_axis: Fleet) -> None:
-    """Titles of narrow ones, too; each has a key."""
+    """Titles of narrow pictures fit too, and every picture has a legend."""
     model = one_axis.models[0]
     heat = heat_figure(model)
     both = (model, replace(model, name="BOLT-9"))

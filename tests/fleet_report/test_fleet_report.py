@@ -1,4 +1,4 @@
-"""From the store of a fleet to its report: numbers, files, page, and what is said of too little."""
+"""Tests of the report of a fleet: numbers, files, page, pictures, and fleets with too few data."""
 
 import base64
 import csv
@@ -61,12 +61,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def fleet(folder: Path) -> Fleet:
-    """Return what it says."""
+    """Return the loaded fleet."""
     return imucal.load_fleet(folder)
 
 
-def test_the_truth_is_found(fleet: Fleet) -> None:
-    """Medians within their limits in all but a few of 18 terms, the odd unit by name."""
+def test_medians_cover_the_truth_and_the_odd_unit_is_found(fleet: Fleet) -> None:
+    """The limits of the median cover the truth in at least 14 of 18 terms."""
     model = fleet.model()
     held = [
         term.population.median.low
@@ -83,7 +83,7 @@ def test_the_truth_is_found(fleet: Fleet) -> None:
 
 
 def test_logs_that_do_not_count_are_grouped(fleet: Fleet) -> None:
-    """The most frequent reason first; a log that was moved is one of them."""
+    """The most frequent reason comes first; a log that was moved is one of them."""
     assert [(kind, len(logs)) for (kind, _), logs in fleet.failures.items()] == [
         ("unreadable", 2),
         ("memory", 1),
@@ -101,8 +101,8 @@ def test_logs_that_do_not_count_are_grouped(fleet: Fleet) -> None:
     assert "1 of 101 logs does not count" in verdict(one)[1]
 
 
-def test_a_copy_of_a_log_is_not_waited_for(tmp_path: Path) -> None:
-    """It is done with the log that it is a copy of; one that was asked for and is not done is."""
+def test_a_copy_of_a_log_is_not_unfinished(tmp_path: Path) -> None:
+    """It is done with its original; other logs of the manifest without results are unfinished."""
     store = write_store(
         tmp_path / "fleet",
         units=3,
@@ -122,8 +122,10 @@ def test_a_copy_of_a_log_is_not_waited_for(tmp_path: Path) -> None:
     assert "1 of 4 logs are not finished" in render_fleet_page(imucal.load_fleet(store.folder))
 
 
-def test_units_are_tested_in_turn_as_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """However many logs' bins are held at a time."""
+def test_tests_of_units_do_not_depend_on_the_batch_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The limit on the number of logs in memory does not change results."""
     write_store(
         tmp_path, units=3, temperatures=(25.0, 25.0), special=False, failures=False, weak="", bins=3,
         names=("gyro_x",),
@@ -136,7 +138,6 @@ def test_units_are_tested_in_turn_as_at_once(tmp_path: Path, monkeypatch: pytest
 
 
 def test_the_document_matches_its_schema(fleet: Fleet) -> None:
-    """And so is that of a fleet of two units, and of one without labels."""
     jsonschema.validate(fleet_document(fleet), SCHEMA)
     document = fleet_document(fleet)
     term = document["models"][0]["terms"][0]  # type: ignore[index]
@@ -146,7 +147,7 @@ def test_the_document_matches_its_schema(fleet: Fleet) -> None:
 
 
 def test_a_unit_that_is_odd_by_chance_is_not_odd_overall(fleet: Fleet) -> None:
-    """One in 20 terms has a false alarm: of all units and terms together it may be none."""
+    """One in 20 terms has a false alarm, so the verdict adjusts for all units and terms."""
     (model,) = fleet.models
     by_chance = [
         replace(
@@ -164,8 +165,8 @@ def test_a_unit_that_is_odd_by_chance_is_not_odd_overall(fleet: Fleet) -> None:
         for term in model.terms
     ]
     changed = replace(fleet, models=(replace(model, terms=tuple(by_chance)),))
-    said, chance = verdict(changed)[1].split("perhaps by chance: ")
-    assert "u07 (gyro_z N)" in said
+    odd_units, chance = verdict(changed)[1].split("perhaps by chance: ")
+    assert "u07 (gyro_z N)" in odd_units
     assert "u03 (accel_y K)" in chance
     document = fleet_document(changed)
     found = {
@@ -178,8 +179,8 @@ def test_a_unit_that_is_odd_by_chance_is_not_odd_overall(fleet: Fleet) -> None:
     assert not found["accelerometer", "y", "K", "u03"]
 
 
-def test_the_table_has_a_row_a_unit_and_term(fleet: Fleet) -> None:
-    """With the numbers of the population beside it."""
+def test_the_table_has_one_row_per_unit_and_term(fleet: Fleet) -> None:
+    """Each row also contains the numbers of the population."""
     rows = list(csv.DictReader(io.StringIO(fleet_csv(fleet))))
     assert len(rows) == 24 * 18
     odd = [row for row in rows if row["odd"] == "1" and row["term"] == "N"]
@@ -201,8 +202,8 @@ def test_the_table_has_a_row_a_unit_and_term(fleet: Fleet) -> None:
         ("ACME-6 = best", "ACME-6 = best"),
     ],
 )
-def test_labels_do_no_harm_in_a_table(fleet: Fleet, label: str, cell: str) -> None:
-    """A spreadsheet runs no formula of theirs, a terminal no command; other cells stay as they are."""
+def test_labels_in_a_table_are_escaped(fleet: Fleet, label: str, cell: str) -> None:
+    """Neither a spreadsheet runs their formulas nor a terminal their codes; other cells are unchanged."""
     (model,) = fleet.models
     bad = replace(fleet, models=(replace(model, name=label),))
     rows = list(csv.DictReader(io.StringIO(fleet_csv(bad))))
@@ -210,8 +211,8 @@ def test_labels_do_no_harm_in_a_table(fleet: Fleet, label: str, cell: str) -> No
     assert {row["unit"] for row in rows} == {f"u{number:02}" for number in range(24)}
 
 
-def test_few_units_have_neither_spread_nor_bound_with_a_finding(tmp_path: Path) -> None:
-    """In the document, on the page, and by the export."""
+def test_two_units_have_neither_spread_nor_bound(tmp_path: Path) -> None:
+    """Document, page and export explain it."""
     write_store(tmp_path / "two", units=2, failures=False, special=False, weak="", names=("gyro_x",))
     fleet = imucal.load_fleet(tmp_path / "two")
     jsonschema.validate(fleet_document(fleet), SCHEMA)
@@ -232,7 +233,7 @@ def test_few_units_have_neither_spread_nor_bound_with_a_finding(tmp_path: Path) 
 
 
 def test_logs_without_a_unit_are_listed_with_the_labels_to_type(tmp_path: Path) -> None:
-    """No population of them."""
+    """They have no population."""
     write_store(
         tmp_path / "loose", units=3, labelled=False, failures=False, special=False, weak="", names=("gyro_x",)
     )
@@ -258,13 +259,12 @@ def test_logs_without_a_unit_are_listed_with_the_labels_to_type(tmp_path: Path) 
         (["logs/u1.csv", "logs/u2.csv"], "{unit}.csv"),
     ],
 )
-def test_labels_are_guessed_from_what_differs(paths: list[str], text: str) -> None:
-    """The folder where folders differ, else the name."""
+def test_suggested_labels_use_the_differing_part_of_the_path(paths: list[str], text: str) -> None:
+    """It is the folder if folders differ, otherwise the file name."""
     assert labels_to_type(paths) == text
 
 
-def test_what_is_no_fleet_is_refused(tmp_path: Path) -> None:
-    """And one of which nothing is done."""
+def test_folders_without_finished_logs_are_rejected(tmp_path: Path) -> None:
     with pytest.raises(ReadError, match="expected the folder of a fleet, written by imucal fleet run"):
         imucal.load_fleet(tmp_path)
     store = FleetStore(tmp_path / "empty")
@@ -276,8 +276,8 @@ def test_what_is_no_fleet_is_refused(tmp_path: Path) -> None:
         imucal.load_fleet(tmp_path / "empty")
 
 
-def test_the_price_is_that_of_the_noncentral_t_law() -> None:
-    """Of 5 and 50 units; what more units save is told up to near enough."""
+def test_the_price_follows_from_the_noncentral_t_law() -> None:
+    """The references have 5 and 50 units; with many units the price tends to 1."""
     for units, content in ((5, 0.95), (50, 0.9)):
         z = stats.norm.ppf(content)
         factor = stats.nct.ppf(0.95, units - 1, z * math.sqrt(units)) / math.sqrt(units)
@@ -287,8 +287,8 @@ def test_the_price_is_that_of_the_noncentral_t_law() -> None:
     assert tolerance_excess(10_000, 0.3) < 1.01
 
 
-def test_the_units_that_come_near_enough_are_the_fewest(fleet: Fleet) -> None:
-    """One unit less is farther off."""
+def test_the_suggested_number_of_units_is_the_smallest(fleet: Fleet) -> None:
+    """One unit less exceeds the tolerance."""
     term = fleet.model()["accel_y", "K"]
     spread = term.population.spread
     assert spread is not None
@@ -297,8 +297,8 @@ def test_the_units_that_come_near_enough_are_the_fewest(fleet: Fleet) -> None:
     assert [units for units, _ in term.price][:2] == [24, 48]
 
 
-def test_a_tolerance_bound_is_the_number_of_the_exports(fleet: Fleet) -> None:
-    """With where it comes from in the comment; every format can be written."""
+def test_exports_contain_the_tolerance_bound(fleet: Fleet) -> None:
+    """A comment explains its origin, and every format can be written."""
     from imucal.report.exports import TARGETS, ExportOptions, render
 
     report = imucal.fleet_as_report(fleet)
@@ -317,7 +317,7 @@ def test_a_tolerance_bound_is_the_number_of_the_exports(fleet: Fleet) -> None:
 
 
 def test_gauss_markov_terms_are_exported_with_the_time_of_the_median_log(tmp_path: Path) -> None:
-    """Where the format has them; where not, its comment says so."""
+    """Formats without Gauss-Markov terms list them in a comment."""
     from imucal.report.exports import ExportOptions, render
 
     write_store(
@@ -340,15 +340,15 @@ def test_gauss_markov_terms_are_exported_with_the_time_of_the_median_log(tmp_pat
     assert "GM (gyro_x)" in fitted
 
 
-def test_a_model_is_chosen_by_name(fleet: Fleet) -> None:
-    """One that is not there is refused, with those that are."""
+def test_a_model_is_selected_by_name(fleet: Fleet) -> None:
+    """The error for an unknown name lists the models."""
     assert fleet.model("ACME-6") is fleet.model()
     with pytest.raises(ChoiceError, match="found 'BOLT-9', expected one of the sensor models: 'ACME-6'"):
         imucal.fleet_as_report(fleet, "BOLT-9")
 
 
 def test_medians_of_two_fleets_are_compared(fleet: Fleet, tmp_path: Path) -> None:
-    """A fleet of the same model is the same; one whose units are 1.5 times as noisy differs."""
+    """Fleets of the same model agree; one with 1.5 times the noise differs."""
     write_store(tmp_path / "b", seed=9, special=False, failures=False, weak="", names=("gyro_x", "accel_z"))
     other = imucal.load_fleet(tmp_path / "b")
     one, same = (imucal.fleet_as_report(each, value="median") for each in (fleet, other))
@@ -373,8 +373,8 @@ def test_medians_of_two_fleets_are_compared(fleet: Fleet, tmp_path: Path) -> Non
     assert {(d.axis, d.key) for d in found} >= {("gyro_x", "N"), ("accel_z", "N")}
 
 
-def test_a_unit_of_the_fleet_passes_and_another_does_not(fleet: Fleet) -> None:
-    """By the numbers of its report; the sentence says where the next unit lies."""
+def test_a_typical_unit_passes_and_a_noisy_unit_fails(fleet: Fleet) -> None:
+    """The check uses the unit's report; its text contains the range of the next unit."""
     report = imucal.fleet_as_report(fleet, value="median")
     rows = imucal.check_fleet(report, fleet)
     assert len(rows) == 18
@@ -393,8 +393,8 @@ def test_a_unit_of_the_fleet_passes_and_another_does_not(fleet: Fleet) -> None:
         imucal.check_fleet(replace(report, axes=()), fleet)
 
 
-def test_an_interval_that_reaches_beyond_is_undecided(fleet: Fleet) -> None:
-    """As a limit is that lies inside an interval: wide ones, and bounds that units lie below."""
+def test_an_interval_beyond_the_range_is_undecided(fleet: Fleet) -> None:
+    """Wide intervals and high upper bounds are undecided, as with fixed limits."""
     report = imucal.fleet_as_report(fleet, value="median")
     low, high = fleet.model()["gyro_x", "N"].population.prediction or (0.0, 0.0)
 
@@ -414,15 +414,15 @@ def test_an_interval_that_reaches_beyond_is_undecided(fleet: Fleet) -> None:
 
     middle = math.sqrt(low * high)
     assert verdict_of(middle, 1.01 * low, 0.99 * high)[0] == "pass"
-    said = "the interval reaches beyond; record for longer to decide"
+    message = "the interval reaches beyond; record for longer to decide"
     for value, least, most in ((middle, 1.01 * low, 1.5 * high), (middle, 0.5 * low, 0.9 * high)):
         assert verdict_of(value, least, most)[0] == "undecided"
-        assert verdict_of(value, least, most)[1].endswith(said)
+        assert verdict_of(value, least, most)[1].endswith(message)
     assert verdict_of(None, 0.0, 2 * high)[0] == "undecided"
 
 
-def test_a_term_that_few_units_have_is_not_judged(fleet: Fleet) -> None:
-    """As of a sensor that the other units lack; the terms of all units are judged as before."""
+def test_a_term_of_few_units_is_undecided(fleet: Fleet) -> None:
+    """Terms of all units are still judged."""
     (model,) = fleet.models
 
     def of_two(term: FleetTerm) -> FleetTerm:
@@ -435,15 +435,15 @@ def test_a_term_that_few_units_have_is_not_judged(fleet: Fleet) -> None:
     rows = imucal.check_fleet(imucal.fleet_as_report(fleet, value="median"), few)
     assert [(row.where, row.verdict) for row in rows].count(("accel_x", "undecided")) == 3
     assert {row.verdict for row in rows if row.where != "accel_x"} == {"pass"}
-    said = next(row.text for row in rows if row.where == "accel_x" and row.subject == "N")
-    assert said.endswith(
+    text = next(row.text for row in rows if row.where == "accel_x" and row.subject == "N")
+    assert text.endswith(
         "2 units of the fleet with it, expected at least 3 to predict the next unit: not judged"
     )
 
 
 @pytest.mark.slow
-def test_units_of_the_fleet_fail_a_check_rarely() -> None:
-    """New units of 60 draws: a false alarm in about 5 % of them, by the membership of one term."""
+def test_the_false_alarm_rate_of_membership_is_five_per_cent() -> None:
+    """The test draws 60 new units and uses one term."""
     from imucal.fleet.population import membership
     from tests.fleet.simulated import strong_fleet
 
@@ -467,7 +467,7 @@ def fleet_of_one(rng: np.random.Generator) -> imucal.LogValue:
 
 @pytest.fixture(scope="module")
 def written(fleet: Fleet, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
-    """Return the files of the fleet, but for pictures."""
+    """Return the files of the fleet except pictures."""
     return imucal.write_fleet(fleet, tmp_path_factory.mktemp("page"), pictures=False)
 
 
@@ -477,8 +477,8 @@ def page(written: tuple[Path, ...]) -> html.HtmlElement:
     return html.fromstring(written[-1].read_text(encoding="utf-8"))
 
 
-def test_the_page_loads_nothing_from_elsewhere(page: html.HtmlElement) -> None:
-    """Nor does it need a script for any number or picture."""
+def test_the_page_loads_no_external_files(page: html.HtmlElement) -> None:
+    """Numbers and pictures need no script."""
     assert not page.cssselect("link[href^=http], script[src], img[src^=http], iframe")
     pictures = page.cssselect("figure img[alt]")
     assert len(pictures) == 3
@@ -486,7 +486,7 @@ def test_the_page_loads_nothing_from_elsewhere(page: html.HtmlElement) -> None:
 
 
 def test_the_page_has_one_heading_and_named_sections(page: html.HtmlElement) -> None:
-    """Every link of the navigation leads somewhere, ids are there once, tables have captions and scopes."""
+    """Every navigation link has a target, ids are unique, and tables have captions and scopes."""
     assert len(page.cssselect("h1")) == 1
     ids = [element.get("id") for element in page.cssselect("[id]")]
     assert len(ids) == len(set(ids))
@@ -504,21 +504,21 @@ def svg_of(element: html.HtmlElement) -> str:
     return base64.b64decode((element.get("src") or "").partition(",")[2]).decode()
 
 
-def test_pictures_name_odd_units(fleet: Fleet, page: html.HtmlElement) -> None:
-    """By a shape and a name, not by colour alone; the words beside them, too."""
+def test_pictures_label_odd_units(fleet: Fleet, page: html.HtmlElement) -> None:
+    """They have a shape and a name in addition to a colour; texts next to the pictures contain them too."""
     gyro, _ = page.cssselect("#units-0 figure img")
     assert gyro.get("alt") == "ACME-6, gyroscope: units sorted, each with its 95 % interval"
     assert all(word in svg_of(gyro) for word in (">u07<", ">odd unit<", ">95/95<", ">gyro_z N<"))
-    said = [item.text_content() for item in page.cssselect("#units-0 .said li")]
+    items = [item.text_content() for item in page.cssselect("#units-0 .said li")]
     odd = [f"{term.name} {term.term}: odd: {term.odd[0].unit} (p" for term in fleet.model().terms if term.odd]
-    assert [text.partition(" <")[0].partition(" =")[0] for text in said if "odd: " in text] == odd
+    assert [text.partition(" <")[0].partition(" =")[0] for text in items if "odd: " in text] == odd
     assert "gyro_z N: odd: u07 (p" in odd
     (heat,) = page.cssselect("#heat figure img")
     assert ">!<" in svg_of(heat)
 
 
 def test_an_odd_unit_is_listed_with_its_effect_on_the_bound(fleet: Fleet, page: html.HtmlElement) -> None:
-    """What it widens its own yardstick by: the bound without it, as a fleet without it has."""
+    """The page contains the bound without the odd unit, equal to a fleet without it."""
     term = fleet.model()["gyro_z", "N"]
     others = imucal.population([log for log in term.logs if log.unit != "u07"])
     assert term.without_odd == others.tolerance
@@ -527,36 +527,34 @@ def test_an_odd_unit_is_listed_with_its_effect_on_the_bound(fleet: Fleet, page: 
     assert term.without_odd < 0.8 * term.population.tolerance
     (cell,) = [c for c in page.cssselect("table.config td small") if "without u07" in c.text_content()]
     assert cell.text_content() == f"without u07: {alone(term, term.without_odd).striptags()}"
-    told = {
+    without_odd = {
         (t["sensor"], t["axis"], t["term"]): t["tolerance_without_odd"]
         for t in fleet_document(fleet)["models"][0]["terms"]  # type: ignore[index]
     }
-    assert told["gyroscope", "z", "N"] == term.without_odd
-    assert told["gyroscope", "x", "K"] is None
+    assert without_odd["gyroscope", "z", "N"] == term.without_odd
+    assert without_odd["gyroscope", "x", "K"] is None
 
 
-def test_units_are_sorted(fleet: Fleet) -> None:
-    """From the largest at the top to the smallest."""
+def test_units_are_sorted_by_decreasing_value(fleet: Fleet) -> None:
     values = [unit.value or unit.high for unit in sorted_units(fleet.model()["gyro_x", "B"])]
     assert values == sorted(values, reverse=True)
 
 
 def test_a_failed_log_has_a_link_to_its_report(page: html.HtmlElement) -> None:
-    """Where it has one."""
+    """Failed logs without a report have no link."""
     links = [link.get("href") for link in page.get_element_by_id("failed").cssselect("a")]
     assert links == ["reports/fa/report.html", "reports/fb/report.html"]
 
 
-def test_names_of_logs_and_units_can_do_no_harm(fleet: Fleet) -> None:
-    """They are text."""
+def test_names_of_logs_are_escaped(fleet: Fleet) -> None:
     bad = replace(fleet, logs=tuple(replace(log, path="<script>x</script>") for log in fleet.logs))
     text = render_fleet_page(bad)
     assert "<script>x" not in text
     assert render_fleet_page(fleet) == render_fleet_page(fleet)
 
 
-def test_a_thousand_units_stay_readable(fleet: Fleet) -> None:
-    """Pictures have one height, and the odd ones keep their names."""
+def test_pictures_of_a_thousand_units_are_readable(fleet: Fleet) -> None:
+    """The height of pictures is limited, and odd units keep their names."""
     model = fleet.model()
     term = model["gyro_z", "N"]
     few = term.population.units
@@ -570,8 +568,8 @@ def test_a_thousand_units_stay_readable(fleet: Fleet) -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_names_of_all_languages_are_drawn(fleet: Fleet) -> None:
-    """In what fonts there are, without a warning; the page's browser takes them from its own."""
+def test_names_in_all_scripts_are_drawn(fleet: Fleet) -> None:
+    """Missing fonts raise no warning, because the browser uses its own fonts."""
     model = replace(fleet.model(), name="\N{CJK UNIFIED IDEOGRAPH-4F20}\N{CJK UNIFIED IDEOGRAPH-611F} ΩЖ")
     pictures = list(fleet_pictures(replace(fleet, models=(replace(model, terms=model.terms[:2]),))))
     drawn = drawn_as(pictures[0].draw, ("png", "svg"))
@@ -581,7 +579,7 @@ def test_names_of_all_languages_are_drawn(fleet: Fleet) -> None:
 
 
 def test_pictures_are_drawn(fleet: Fleet) -> None:
-    """A panel each term and axis; a cell each unit and term."""
+    """There is a panel per term and axis, and a cell per unit and term."""
     model = fleet.model()
     assert len(units_figure(model, Sensor.GYROSCOPE).axes) == 9
     heat = heat_figure(model).axes[0]
@@ -590,8 +588,8 @@ def test_pictures_are_drawn(fleet: Fleet) -> None:
     assert len(models_figure((model, other)).axes) == 18
 
 
-def test_models_side_by_side_are_in_one_unit(fleet: Fleet) -> None:
-    """Of a bias in µg and one in mg every unit is drawn, where it lies."""
+def test_compared_models_are_drawn_in_one_unit(fleet: Fleet) -> None:
+    """All units are inside the axis, although one bias is in µg and one in mg."""
     model = fleet.model()
     other = replace(model, name="BOLT-9", terms=tuple(_larger(term, 1000.0) for term in model.terms))
     axes = next(a for a in models_figure((model, other)).axes if a.get_title(loc="left") == "accel_x B")
@@ -605,7 +603,7 @@ def test_models_side_by_side_are_in_one_unit(fleet: Fleet) -> None:
 
 
 def _larger(term: FleetTerm, factor: float) -> FleetTerm:
-    """Return a term whose units have other coefficients."""
+    """Return a term with coefficients multiplied by a factor."""
     found = term.population
     units = tuple(
         replace(
@@ -624,8 +622,8 @@ def _larger(term: FleetTerm, factor: float) -> FleetTerm:
     )
 
 
-def test_two_models_are_side_by_side(fleet: Fleet, tmp_path: Path) -> None:
-    """A row each in every strip, and the picture on the page."""
+def test_two_models_are_compared_in_one_picture(fleet: Fleet, tmp_path: Path) -> None:
+    """Every strip has one row per model, and the page contains the picture."""
     both = replace(fleet, models=(fleet.model(), replace(fleet.model(), name="BOLT-9")))
     names = [picture.name for picture in fleet_pictures(both)]
     assert names == [
@@ -646,16 +644,15 @@ def test_two_models_are_side_by_side(fleet: Fleet, tmp_path: Path) -> None:
 PICTURES = ("units-gyro", "units-accel", "heat")
 
 
-def test_files_are_written_whole(written: tuple[Path, ...]) -> None:
-    """JSON first."""
+def test_the_json_file_is_written_first(written: tuple[Path, ...]) -> None:
     assert [file.name for file in written] == ["fleet.json", "fleet.csv", "fleet.html"]
     assert json.loads(written[0].read_text(encoding="utf-8"))["schema"] == "imucal/fleet/1"
 
 
-def test_a_picture_that_fails_costs_nothing_else(
+def test_a_failed_picture_does_not_prevent_the_others(
     fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The others are there, and document and caller are told which is missing; an old one goes."""
+    """Document and caller are informed about missing pictures, and old ones are removed."""
 
     def broken(*_: object) -> None:
         raise ArithmeticError
@@ -667,23 +664,23 @@ def test_a_picture_that_fails_costs_nothing_else(
         lambda model, sensor: (broken if sensor is Sensor.GYROSCOPE else drawn)(model, sensor),
     )
     (tmp_path / "heat.png").write_bytes(b"of yesterday")
-    told: list[str] = []
-    files = imucal.write_fleet(fleet, tmp_path, on_finding=lambda finding: told.append(finding.text))
+    texts: list[str] = []
+    files = imucal.write_fleet(fleet, tmp_path, on_finding=lambda finding: texts.append(finding.text))
     assert [file.name for file in files] == ["fleet.json", "fleet.csv", "units-accel.png", "fleet.html"]
     assert not (tmp_path / "heat.png").exists()
     missing = ("units-gyro", "heat")
-    assert [text.split(":")[0] for text in told] == [f"{name}.png is missing" for name in missing]
+    assert [text.split(":")[0] for text in texts] == [f"{name}.png is missing" for name in missing]
     findings = json.loads((tmp_path / "fleet.json").read_text(encoding="utf-8"))["findings"]
     assert {finding["code"] for finding in findings} == {"not-drawn"}
     assert "The pictures are missing." in (tmp_path / "fleet.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("moved", range(3))
-def test_a_kill_between_files_leaves_a_report_that_is_known_as_incomplete(
+def test_an_interrupted_report_is_recognised_as_incomplete(
     fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moved: int
 ) -> None:
-    """``fleet.json`` goes first and comes last; the next report is whole."""
-    # Without a model there is no picture to be drawn on the page.
+    """``fleet.json`` is removed first and written last; the next report is complete."""
+    # Without a model, the page has no pictures to draw.
     few = replace(fleet, models=())
     imucal.write_fleet(few, tmp_path, pictures=False)
     count = iter(range(100))
@@ -702,8 +699,8 @@ def test_a_kill_between_files_leaves_a_report_that_is_known_as_incomplete(
     assert json.loads((tmp_path / "fleet.json").read_bytes())["logs"]
 
 
-def test_two_reports_into_one_folder_are_one(fleet: Fleet, tmp_path: Path) -> None:
-    """All files are of the same call, whichever was the last."""
+def test_concurrent_reports_in_one_folder_are_consistent(fleet: Fleet, tmp_path: Path) -> None:
+    """All files are from the same call, whichever was the last."""
     few = replace(fleet, models=())
     each = [replace(few, version=f"0.0.{i}") for i in range(4)]
     with ThreadPoolExecutor(len(each)) as pool:
@@ -719,8 +716,8 @@ def browser() -> Iterator[Browser]:
         yield session
 
 
-def test_the_page_in_a_browser(browser: Browser, written: tuple[Path, ...]) -> None:
-    """No error, no request; narrow screens scroll only downwards; paper is white and wide enough."""
+def test_the_page_works_in_a_browser(browser: Browser, written: tuple[Path, ...]) -> None:
+    """There are no errors; narrow screens only scroll vertically; paper is white and wide enough."""
     browser.open(written[-1].as_uri())
     drawn = "return [...document.images].map((image) => image.complete && image.naturalWidth > 300)"
     assert browser.run(drawn) == [True] * 3
@@ -739,12 +736,12 @@ def test_the_page_in_a_browser(browser: Browser, written: tuple[Path, ...]) -> N
     browser.devtools(size, width=390, height=800, deviceScaleFactor=1, mobile=False)
     assert browser.run(inside)
     assert browser.run(wide) == []
-    # 186 mm at 96 px an inch.
+    # 186 mm at 96 px per inch.
     browser.devtools(size, width=703, height=1000, deviceScaleFactor=1, mobile=False)
     browser.devtools("Emulation.setEmulatedMedia", media="print")
     assert browser.run(paper) == "rgb(255, 255, 255)"
     assert browser.run(inside)
-    # Pictures are as wide as the paper; no head of a table without its first row.
+    # Pictures are as wide as the paper, and a table's header stays with its first row.
     style = "return getComputedStyle(document.querySelector('{}')).{}"
     assert browser.run(style.format(".picture img", "minWidth")) == "0px"
     assert browser.run(style.format("tbody tr", "breakBefore")) == "avoid"
@@ -752,8 +749,8 @@ def test_the_page_in_a_browser(browser: Browser, written: tuple[Path, ...]) -> N
     assert not [log for log in browser.logs("browser") if log["level"] == "SEVERE"]
 
 
-def test_a_term_that_no_log_shows_is_a_bound_everywhere(tmp_path: Path) -> None:
-    """In page, JSON, CSV, pictures and the export of the median; the bound for the config stays."""
+def test_an_undetected_term_is_a_bound_in_all_outputs(tmp_path: Path) -> None:
+    """Outputs are page, JSON, CSV, pictures and the median's export; the config uses the tolerance bound."""
     write_store(
         tmp_path, units=4, temperatures=(25.0,), special=False, failures=False, weak="", absent="y",
         names=("gyro_x", "gyro_y"),
@@ -763,15 +760,15 @@ def test_a_term_that_no_log_shows_is_a_bound_everywhere(tmp_path: Path) -> None:
     assert term.population.bounded
     document = fleet_document(fleet)
     jsonschema.validate(document, SCHEMA)
-    (told,) = [
+    (row,) = [
         t
         for m in document["models"]  # type: ignore[attr-defined]
         for t in m["terms"]
         if (t["sensor"], t["axis"], t["term"]) == ("gyroscope", "y", "K")
     ]
-    assert told["bounded"]
-    assert told["median"]["value"] is None
-    assert told["spread"] is None
+    assert row["bounded"]
+    assert row["median"]["value"] is None
+    assert row["spread"] is None
     rows = csv.DictReader(io.StringIO(fleet_csv(fleet)))
     cells = [row for row in rows if (row["sensor"], row["axis"], row["term"]) == ("gyroscope", "y", "K")]
     assert {(row["bounded"], row["median"]) for row in cells} == {("1", "")}
@@ -785,8 +782,8 @@ def test_a_term_that_no_log_shows_is_a_bound_everywhere(tmp_path: Path) -> None:
     assert axis.fit["K"].value == term.population.tolerance
 
 
-def test_logs_of_units_are_judged_over_all_units_and_terms(tmp_path: Path) -> None:
-    """Six units without a difference but for the last: what is rare in one of many tests is not named."""
+def test_tests_of_units_are_adjusted_for_all_units_and_terms(tmp_path: Path) -> None:
+    """Only the last of six units differs; a rare result in one of many tests is not reported."""
     from imucal.fleet.population import adjusted
 
     write_store(

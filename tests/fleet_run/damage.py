@@ -1,4 +1,4 @@
-"""Files of a fleet that a disk has changed: a bit, or 64 bytes somewhere."""
+"""Damaged files of a fleet: one bit or 64 bytes are changed."""
 
 import shutil
 from collections.abc import Iterator
@@ -9,9 +9,9 @@ import numpy as np
 
 from tests.cli.run import run
 
-#: Bytes that are overwritten at once.
+#: Number of bytes that are overwritten at once.
 _SECTOR = 64
-#: What reads a fleet, in turn: arguments before its folder.
+#: Commands that read a fleet, used in turn: arguments before its folder.
 COMMANDS = (
     ("fleet", "report", "--no-pictures", "--no-html"),
     ("fleet", "status"),
@@ -21,29 +21,29 @@ COMMANDS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Damage:
-    """One change of one file, and what a command made of it.
+    """One change of one file, and the reaction of a command.
 
     Attributes
     ----------
     file, what
-        Of the store, and how it was changed.
+        File of the store, and the change.
     command
-        Which read it.
+        Command that read the store.
     silent
-        Whether it did not end with 5 and a message that names the file.
-    said
-        Its exit code, and the end of what it printed.
+        Whether the command did not exit with 5 and a message with the file's name.
+    output
+        Exit code and end of the error output.
     """
 
     file: str
     what: str
     command: str
     silent: bool
-    said: str
+    output: str
 
 
 def damages(fleet: Path, scratch: Path, *, number: int, seed: int) -> Iterator[Damage]:
-    """Yield what becomes of copies of a fleet with one change each, every second one a bit."""
+    """Yield the reactions to copies of a fleet with one change each, every second one a bit."""
     rng = np.random.default_rng(seed)
     names = sorted(
         path.relative_to(fleet)
@@ -57,17 +57,17 @@ def damages(fleet: Path, scratch: Path, *, number: int, seed: int) -> Iterator[D
         what = _change(folder / name, rng, bit=count % 2 == 0)
         command = COMMANDS[count % len(COMMANDS)]
         done = run(*command, str(folder), cwd=scratch)
-        told = done.returncode == 5 and str(name) in done.stderr and "Traceback" not in done.stderr
-        # Settings are asked for by runs alone.
+        reported = done.returncode == 5 and str(name) in done.stderr and "Traceback" not in done.stderr
+        # Only runs read the settings.
         if name.name == "settings.json":
             done = run("fleet", "run", "-o", str(folder), "--dry-run", cwd=scratch)
-            told = done.returncode == 5 and str(name) in done.stderr
+            reported = done.returncode == 5 and str(name) in done.stderr
         yield Damage(
             file=str(name),
             what=what,
             command=" ".join(command[:2]),
-            silent=not told,
-            said=f"{done.returncode}: {done.stderr[-200:]}",
+            silent=not reported,
+            output=f"{done.returncode}: {done.stderr[-200:]}",
         )
         shutil.rmtree(folder)
 

@@ -1,4 +1,4 @@
-"""Logs of a fleet done in this process: a child imports everything anew, longer than a short log takes."""
+"""Work on logs of a fleet in this process, because a child takes longer to import modules than for a log."""
 
 import contextlib
 import os
@@ -16,9 +16,9 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 class DoneHere(ChildProcess):
-    """Answers as a child does, with its variables and in its folder; nothing here bounds time and memory.
+    """Answers like a child process, in its environment and folder, but without limits of time and memory.
 
-    Questions and answers are pickled on their way, as they are on that to a child.
+    Questions and answers are pickled, as for a child process.
     """
 
     def ask(self, function: Callable[..., object], *args: object, seconds: float, memory: int) -> Answer:
@@ -32,7 +32,7 @@ class DoneHere(ChildProcess):
             try:
                 asked, given = pickle.loads(pickle.dumps((function, args)))  # noqa: S301 - our own
                 answer = Answer(outcome="done", value=asked(*given))
-            except Exception as error:  # noqa: BLE001 - as a child does
+            except Exception as error:  # noqa: BLE001 - a child reports every exception
                 answer = Answer(outcome="failed", words=f"{type(error).__name__}: {error}")
         back: Answer = pickle.loads(pickle.dumps(answer, protocol=5))  # noqa: S301 - our own
         return back
@@ -40,6 +40,6 @@ class DoneHere(ChildProcess):
 
 @contextlib.contextmanager
 def logs_done_here() -> Iterator[None]:
-    """Have the logs of fleets done in this process."""
+    """Do the work on logs of fleets in this process."""
     with mock.patch.object(log_work, "ChildProcess", DoneHere):
         yield

@@ -1,7 +1,7 @@
-"""What is done to a fleet, and what must hold then: nothing lost, nothing twice, exit codes, same results.
+"""Faults of a fleet run and their expected results: no lost or repeated log, exit codes, equal results.
 
-Each takes a bench whose folder has ``logs`` and the store ``whole``, done without disturbance, and returns a
-line that says what happened; an assertion fails where something else did.
+Each scenario takes a bench whose folder contains ``logs`` and the store ``whole`` of an undisturbed run. It
+returns a line that describes the result; assertions check the result.
 """
 
 import contextlib
@@ -36,7 +36,7 @@ HERE = ("--shard", "1/1")
 
 
 def process_of_a_log_killed(bench: Bench) -> str:
-    """As by the system, where the machine has no memory left; the log is done again."""
+    """Kill the process of a log, as the system does without memory; the log is repeated."""
     run = bench.start("child", *HERE)
     wait_until(lambda: bool(children_of(run.pid)))
     time.sleep(0.5)
@@ -48,7 +48,7 @@ def process_of_a_log_killed(bench: Bench) -> str:
 
 
 def process_of_a_log_killed_again_and_again(bench: Bench) -> str:
-    """Then the log is given up, the run is not; the next run does it."""
+    """Kill the process of a log twice: the run gives this log up and continues, and the next run does it."""
     run = bench.start("children", *HERE)
     killed = 0
     while killed < 2:
@@ -66,7 +66,7 @@ def process_of_a_log_killed_again_and_again(bench: Bench) -> str:
 
 
 def worker_killed(bench: Bench) -> str:
-    """Of a cluster: its batch is done by another one."""
+    """Kill a worker of a cluster; another worker does its batch."""
     with cluster(bench.folder, workers=bench.jobs) as (address, _):
         run = bench.start("worker", "--scheduler", address)
         wait_until(lambda: bool(workers_of(bench.folder)) or run.poll() is not None)
@@ -77,7 +77,7 @@ def worker_killed(bench: Bench) -> str:
 
 
 def process_of_a_log_frozen(bench: Bench) -> str:
-    """By SIGSTOP: it is ended after the time of its log, and the next run does the log."""
+    """Stop the process of a log by SIGSTOP: it ends after the timeout, and the next run does the log."""
     run = bench.start("frozen", "--jobs", str(bench.jobs), "--timeout", "8s")
     wait_until(lambda: bool(children_of(run.pid)))
     children_of(run.pid)[0].suspend()
@@ -88,7 +88,7 @@ def process_of_a_log_frozen(bench: Bench) -> str:
 
 
 def terminated(bench: Bench) -> str:
-    """By SIGTERM, as a queue does it: nothing is left at work, and the next run does what is left."""
+    """End a run by SIGTERM, as a queue does: no process remains, and the next run does the other logs."""
     run = bench.start("terminated", "--jobs", str(bench.jobs))
     bench.wait_for_parts("terminated", run)
     run.terminate()
@@ -98,20 +98,20 @@ def terminated(bench: Bench) -> str:
 
 
 def log_without_end(bench: Bench) -> str:
-    """Then its process is ended, and the run is not."""
+    """Read an endless log: its process ends, and the run continues."""
     (bench.folder / "endless").mkdir()
     hanging_log(bench.folder / "endless" / "hang.csv")
     end = bench.run("endless-store", *HERE, "--timeout", "3", logs="endless")
     assert end.code == 3, end.err
-    said = "endless/hang.csv: it took more than 3 s; give it more time, or a part of the log"
-    assert said in end.err, end.err
+    message = "endless/hang.csv: it took more than 3 s; give it more time, or a part of the log"
+    assert message in end.err, end.err
     assert bench.store("endless-store").logs()["status"].to_list() == ["timeout"]
     return f"exit {end.code}: timeout"
 
 
 def log_without_measure(bench: Bench, arguments: tuple[str, ...] = HERE) -> str:
-    """Of memory: it is named, and all others are done."""
-    # Two small ones beside it.
+    """Read a log that needs too much memory: it is reported, and all others are done."""
+    # The folder also contains two small logs.
     names = sorted(path.relative_to(bench.folder / "logs") for path in (bench.folder / "logs").rglob("*.npz"))
     for name in names[:2]:
         (bench.folder / "large" / name).parent.mkdir(parents=True, exist_ok=True)
@@ -130,14 +130,14 @@ def log_without_measure(bench: Bench, arguments: tuple[str, ...] = HERE) -> str:
 
 
 def log_without_measure_on_a_worker(bench: Bench) -> str:
-    """Of a cluster it is the same; no worker is lost."""
+    """Read a log that needs too much memory on a cluster: no worker is lost."""
     shutil.rmtree(bench.folder / "large-store", ignore_errors=True)
     with cluster(bench.folder, workers=bench.jobs) as (address, _):
         return log_without_measure(bench, ("--scheduler", address))
 
 
 def scheduler_killed(bench: Bench) -> str:
-    """With 5 and how to go on; without the scheduler that works."""
+    """Kill the scheduler: the exit code is 5, and the printed command continues without a scheduler."""
     with cluster(bench.folder, workers=bench.jobs) as (address, scheduler):
         run = bench.start("scheduler", "--scheduler", address)
         bench.wait_for_parts("scheduler", run)
@@ -150,7 +150,7 @@ def scheduler_killed(bench: Bench) -> str:
 
 
 def interrupted(bench: Bench, arguments: tuple[str, ...] = ("--jobs", "2")) -> str:
-    """Ctrl-C goes to every process of a terminal: 130, no traceback, and the command that goes on."""
+    """Press Ctrl-C, which reaches all processes of a terminal: exit code 130, and a command to continue."""
     for _ in range(3):
         shutil.rmtree(bench.folder / "interrupted", ignore_errors=True)
         run = bench.start("interrupted", *arguments)
@@ -160,7 +160,7 @@ def interrupted(bench: Bench, arguments: tuple[str, ...] = ("--jobs", "2")) -> s
         end = ended(run)
         seconds = time.monotonic() - begun
         done, every = (bench.store(name).logs().height for name in ("interrupted", "whole"))
-        # On a busy machine the logs may have been done before, or all of it.
+        # On a busy machine, the run may have ended before.
         if end.code and done < every:
             break
     assert end.code == 130, end.err
@@ -171,12 +171,12 @@ def interrupted(bench: Bench, arguments: tuple[str, ...] = ("--jobs", "2")) -> s
 
 
 def interrupted_in_one_process(bench: Bench) -> str:
-    """One log at a time it is the same."""
+    """Press Ctrl-C in a run without child workers."""
     return interrupted(bench, HERE)
 
 
 def client_killed(bench: Bench) -> str:
-    """Nothing goes on by itself; the next run does what is left."""
+    """Kill the client: no process continues, and the next run does the other logs."""
     run = bench.start("client", "--jobs", str(bench.jobs))
     bench.wait_for_parts("client", run)
     run.kill()
@@ -186,7 +186,7 @@ def client_killed(bench: Bench) -> str:
 
 
 def disk_full(bench: Bench, arguments: tuple[str, ...] = HERE) -> str:
-    """No file may grow beyond what the manifest needs: 5, no part, and all of it the next time."""
+    """Limit the size of files to the manifest's: exit code 5, no parts, and the next run does all logs."""
     room = 2 * (bench.folder / "whole" / "manifest.parquet").stat().st_size
 
     def limit() -> None:
@@ -200,7 +200,7 @@ def disk_full(bench: Bench, arguments: tuple[str, ...] = HERE) -> str:
 
 
 def disk_full_for_real(bench: Bench) -> str:
-    """By a small file system of its own that is full in the middle; needs the right to mount."""
+    """Fill a small file system in the middle of a run; needs the right to mount."""
     disk = bench.folder / "disk"
     disk.mkdir()
     subprocess.run(["mount", "-t", "tmpfs", "-o", "size=160k", "tmpfs", str(disk)], check=True)  # noqa: S603, S607
@@ -216,7 +216,7 @@ def disk_full_for_real(bench: Bench) -> str:
 
 
 def two_runs_at_once(bench: Bench, arguments: tuple[str, ...] = HERE) -> str:
-    """On one store: both end well, every log counts once."""
+    """Start two runs on one store: both succeed, and every log counts once."""
     runs = [bench.start("both", *arguments) for _ in range(2)]
     ends = [ended(run) for run in runs]
     assert [end.code for end in ends] == [0, 0], [end.err for end in ends]
@@ -224,7 +224,7 @@ def two_runs_at_once(bench: Bench, arguments: tuple[str, ...] = HERE) -> str:
 
 
 def parts_cut_off(bench: Bench) -> str:
-    """As by a loss of power: refused with 5, said by the next run, and done again."""
+    """Truncate parts, as a loss of power does: reports exit with 5, and the next run repeats their logs."""
     shutil.copytree(bench.folder / "whole", bench.folder / "cut")
     parts = sorted((bench.folder / "cut" / "logs").iterdir())
     tables = ("logs", "results", "bins")
@@ -239,7 +239,7 @@ def parts_cut_off(bench: Bench) -> str:
 
 
 def client_frozen(bench: Bench) -> str:
-    """By SIGSTOP, as a laptop that sleeps; it goes on where it was."""
+    """Stop the client by SIGSTOP and resume it, like a laptop that sleeps; it continues."""
     run = bench.start("asleep", "--jobs", str(bench.jobs))
     wait_until(lambda: bool(children_of(run.pid)))
     psutil.Process(run.pid).suspend()
@@ -249,7 +249,7 @@ def client_frozen(bench: Bench) -> str:
 
 
 def store_deleted(bench: Bench) -> str:
-    """In mid-run: 5 with the name of what is missing, no traceback, and all of it the next time."""
+    """Delete the store during a run: exit code 5 with the missing name, and the next run does all logs."""
     run = bench.start("deleted", "--jobs", "1")
     bench.wait_for_parts("deleted", run)
     shutil.rmtree(bench.folder / "deleted")
@@ -261,13 +261,13 @@ def store_deleted(bench: Bench) -> str:
 
 
 def two_clients_of_a_cluster(bench: Bench) -> str:
-    """On one scheduler and one store: both end well, every log counts once."""
+    """Start two runs on one scheduler and one store: both succeed, and every log counts once."""
     with cluster(bench.folder, workers=bench.jobs) as (address, _):
         return two_runs_at_once(bench, ("--scheduler", address))
 
 
 def another_numpy_on_a_worker(bench: Bench) -> str:
-    """Of the folder ``IMUCAL_OTHER_NUMPY``: the same logs and verdicts, and numbers to rounding."""
+    """Use the NumPy in ``IMUCAL_OTHER_NUMPY`` on a worker: equal verdicts, and numbers equal to rounding."""
     other = os.environ.get("IMUCAL_OTHER_NUMPY")
     if other is None:
         return "no other NumPy: not done"
@@ -278,8 +278,8 @@ def another_numpy_on_a_worker(bench: Bench) -> str:
             (version,) = client.run(_numpy_version).values()
     assert end.code == 0, end.err
     here, there = bench.store("whole"), bench.store("numpy")
-    told = ("path", "key", "content", "status", "verdict", "findings")
-    assert there.logs().select(told).equals(here.logs().select(told))
+    columns = ("path", "key", "content", "status", "verdict", "findings")
+    assert there.logs().select(columns).equals(here.logs().select(columns))
     numbers = ("value", "low", "high", "variance")
     both = [(there.results()[name].to_numpy(), here.results()[name].to_numpy()) for name in numbers]
     apart = [float(np.nanmax(np.abs(one - two) / np.nanmax(np.abs(two)))) for one, two in both]
@@ -289,12 +289,12 @@ def another_numpy_on_a_worker(bench: Bench) -> str:
 
 
 def _numpy_version() -> str:
-    """Return what a worker has."""
+    """Return the NumPy version of a worker."""
     return np.__version__
 
 
 def links(bench: Bench) -> str:
-    """To a log, to nothing, and to the folder that they stand in: each log once, what is missing is named."""
+    """Add links to a log, a missing file and their own folder: each log counts once, errors are reported."""
     folder = bench.folder / "linked"
     shutil.copytree(bench.folder / "logs", folder)
     log = next(folder.rglob("*.npz"))
@@ -312,7 +312,7 @@ def links(bench: Bench) -> str:
 
 
 def bomb(bench: Bench) -> str:
-    """Done as any log: 1 MB that hold 1 GB cost no more than their memory and time, and no other log."""
+    """Read 1 MB that decompresses to 1 GB: only this log is limited by memory or time."""
     (bench.folder / "bombs").mkdir()
     shutil.copy(next((bench.folder / "logs").rglob("*.npz")), bench.folder / "bombs" / "log.npz")
     with gzip.open(bench.folder / "bombs" / "bomb.csv.gz", "wb", compresslevel=9) as file:
@@ -331,9 +331,9 @@ def bomb(bench: Bench) -> str:
 
 
 def private_umask_and_closed_output(bench: Bench) -> str:
-    """077: nobody else may read what is written; with 022, as of the undisturbed run, others may.
+    """Use umask 077: other users cannot read the files; with 022, as in the undisturbed run, they can.
 
-    Nor is there a terminal, as for a service: the run goes on to its end without standard output.
+    Standard output is closed, as for a service, and the run still completes.
     """
 
     def limit() -> None:
@@ -350,7 +350,7 @@ def private_umask_and_closed_output(bench: Bench) -> str:
 
 
 def _same(bench: Bench, name: str, last: Ended, *, first: Ended | None = None) -> str:
-    """Say that a store has every log once, with the undisturbed results."""
+    """Return a summary after checking that a store has every log once, with the undisturbed results."""
     assert last.code == 0, last.err
     differences = bench.differences(name, "whole")
     statuses = bench.store(name).logs()["status"].value_counts().rows()
@@ -375,7 +375,7 @@ QUICK: tuple[Callable[[Bench], str], ...] = (
     links,
     private_umask_and_closed_output,
 )
-#: The others take longer, or ask for rights.
+#: These take longer or need additional rights.
 SLOW: tuple[Callable[[Bench], str], ...] = (
     interrupted,
     log_without_measure_on_a_worker,

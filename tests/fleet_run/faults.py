@@ -1,4 +1,4 @@
-"""Faults of a fleet, each made with real processes: a run that is disturbed, and what becomes of it."""
+"""Faults of a fleet with real processes: tools that disturb a run and compare its store."""
 
 import contextlib
 import os
@@ -20,13 +20,13 @@ from tests.cli.run import run
 from tests.fleet_run.done_here import logs_done_here
 from tests.report.blank import blank_pictures
 
-#: Columns of a log's row that are of the run and not of the log.
+#: Columns that describe the run instead of the log.
 OF_THE_RUN = ("cpu_s", "wall_s", "finished", "part")
-#: Seconds that anything here may take before it is taken for hung.
+#: Seconds after which a process is considered hung.
 PATIENCE = 240.0
-#: What a worker's child has in its command line.
+#: Part of the command line of a worker's child.
 CHILD = "imucal.processes"
-#: The command, with the package of these tests, and with blank pictures in its report.
+#: The command, with the package of these tests and blank pictures.
 COMMAND = f"""
 import sys
 sys.path.insert(0, {str(Path(__file__).parents[2])!r})
@@ -39,7 +39,7 @@ with blank_pictures():
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ended:
-    """How a run ended."""
+    """Exit code and output of a run."""
 
     code: int
     out: str
@@ -47,7 +47,7 @@ class Ended:
 
 
 class Bench:
-    """A folder with logs in it, and runs of ``imucal fleet run`` there."""
+    """A folder with logs, and runs of ``imucal fleet run`` in it."""
 
     def __init__(self, folder: Path, *, jobs: int = 2) -> None:
         self.folder, self.jobs = folder, jobs
@@ -59,7 +59,7 @@ class Bench:
     def start(
         self, name: str, *arguments: str, logs: str = "logs", limit: Callable[[], object] | None = None
     ) -> subprocess.Popen[str]:
-        """Start a run, in a session of its own, as a terminal gives it one."""
+        """Start a run in its own session, like a terminal."""
         command = ["fleet", "run", logs, "-o", name, "--max-failed", "100%", *arguments]
         return subprocess.Popen(  # noqa: S603 - our own command
             [sys.executable, "-c", COMMAND, *command],
@@ -68,7 +68,7 @@ class Bench:
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,
-            preexec_fn=limit,  # noqa: PLW1509 - the limit is of the run alone
+            preexec_fn=limit,  # noqa: PLW1509 - the limit only applies to the run
         )
 
     def run(
@@ -78,18 +78,18 @@ class Bench:
         return ended(self.start(name, *arguments, logs=logs, limit=limit))
 
     def finish(self, name: str, *, logs: str = "logs") -> Ended:
-        """Do what is left, one log at a time and undisturbed, which needs no process of its own."""
+        """Do the remaining logs, one at a time and in this process."""
         return self.type("fleet", "run", logs, "-o", name, "--max-failed", "100%", "--shard", "1/1")
 
-    def type_again(self, said: str) -> Ended:
-        """Type the command that a run printed to go on with."""
-        line = next(line for line in said.splitlines() if "to continue: " in line)
+    def type_again(self, output: str) -> Ended:
+        """Run the command that a run printed to continue."""
+        line = next(line for line in output.splitlines() if "to continue: " in line)
         imucal, *words = shlex.split(line.partition("to continue: ")[2])
         assert imucal == "imucal"
         return self.type(*words)
 
     def type(self, *words: str) -> Ended:
-        """Run a command undisturbed, in this process."""
+        """Run a command in this process without faults."""
         with blank_pictures(), logs_done_here():
             done = run(*words, cwd=self.folder)
         return Ended(code=done.returncode, out=done.stdout, err=done.stderr)
@@ -107,7 +107,7 @@ class Bench:
         wait_until(there)
 
     def differences(self, name: str, other: str, *, logs: bool = True) -> list[str]:
-        """Return the tables in which two stores differ; the order of rows and times aside."""
+        """Return the tables in which two stores differ, ignoring row order and times."""
         one, two = self.store(name), self.store(other)
         found = []
         if logs and not one.logs().drop(OF_THE_RUN).equals(two.logs().drop(OF_THE_RUN)):
@@ -130,7 +130,7 @@ def ended(run: subprocess.Popen[str]) -> Ended:
 
 
 def wait_until(there: Callable[[], bool]) -> None:
-    """Wait for something; give up after a long time."""
+    """Wait for a condition; fail after a long time."""
     deadline = time.monotonic() + PATIENCE
     while not there():
         assert time.monotonic() < deadline
@@ -138,7 +138,7 @@ def wait_until(there: Callable[[], bool]) -> None:
 
 
 def children_of(pid: int) -> list[psutil.Process]:
-    """Return the processes that do logs, of all workers of a run."""
+    """Return the processes that work on logs, of all workers of a run."""
     found = []
     with contextlib.suppress(psutil.Error):
         for process in psutil.Process(pid).children(recursive=True):
@@ -149,9 +149,9 @@ def children_of(pid: int) -> list[psutil.Process]:
 
 
 def workers_of(folder: Path) -> list[psutil.Process]:
-    """Return the workers of a cluster that do logs of a folder: parents of the processes that do one log.
+    """Return the workers of a cluster in a folder: the parents of the processes that work on one log.
 
-    These have processes of their own that read files, and so may this process.
+    Their other children and this process may read files there too.
     """
     found = []
     for process in psutil.process_iter():
@@ -163,7 +163,7 @@ def workers_of(folder: Path) -> list[psutil.Process]:
 
 
 def left_over(folder: Path) -> list[int]:
-    """Return processes that still work in a folder."""
+    """Return the processes whose working folder is still this one."""
     found = []
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error):
@@ -173,12 +173,12 @@ def left_over(folder: Path) -> list[int]:
 
 
 def hanging_log(path: Path) -> None:
-    """Make a log whose reading never ends: a terminal to which nobody types."""
+    """Create a log whose reading never ends: a terminal without input."""
     path.symlink_to("/dev/ptmx")
 
 
 def huge_log(path: Path, *, samples: int = 5_000_000) -> None:
-    """Make a log of one axis with many samples."""
+    """Create a log of one axis with many samples."""
     rate = np.random.default_rng(0).standard_normal(samples, np.float32)
     np.savez(path, **{"gz (rad/s)": rate, "time (s)": np.arange(samples) / 200})  # type: ignore[arg-type]
 
@@ -187,7 +187,7 @@ def huge_log(path: Path, *, samples: int = 5_000_000) -> None:
 def cluster(
     folder: Path, *, workers: int = 2, environment: Mapping[str, str] | None = None
 ) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """Yield the address and the process of a scheduler with some workers, as a cluster has them."""
+    """Yield the address and the process of a scheduler with some workers."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]

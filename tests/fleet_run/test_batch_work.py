@@ -1,4 +1,4 @@
-"""The process that does a log: its environment, one that can't start, and what a run says meanwhile."""
+"""Tests of the process that works on a log: its environment, failures to start, and progress."""
 
 import errno
 import os
@@ -16,8 +16,8 @@ from imucal.resources import POOLS, THREADS
 from tests.fleet.simulated_fleet import make_fleet
 
 
-def test_a_log_has_one_thread_and_the_usual_allocator(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Dask has its workers give back memory at once, which would cost a log half more time."""
+def test_the_work_on_a_log_has_one_thread_and_the_default_allocator(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dask makes its workers return memory at once, which would take 50 % more time per log."""
     monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "65536")
     monkeypatch.setenv("IMUCAL_FLEET_TEST", "stays")
     child = child_process(FleetSettings(store="s", folder="f", memory=(4 << 30) + 4))
@@ -32,10 +32,10 @@ def test_a_log_has_one_thread_and_the_usual_allocator(monkeypatch: pytest.Monkey
     assert set(found.values()) == {"1"}
 
 
-def test_a_process_that_cannot_start_is_the_failure_of_its_log(
+def test_a_process_that_cannot_start_only_fails_its_log(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It says why, and ends neither the run nor the worker; the next run tries the log again."""
+    """The log contains the reason, the run and the worker continue, and the next run repeats the log."""
 
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
@@ -52,8 +52,8 @@ def test_a_process_that_cannot_start_is_the_failure_of_its_log(
     )
 
 
-def test_a_report_of_a_log_that_cannot_be_written_is_no_fault_of_the_log(tmp_path: Path) -> None:
-    """As on a full disk: the run ends with 5, and the log is not done."""
+def test_a_report_that_cannot_be_written_ends_the_run(tmp_path: Path) -> None:
+    """On a full disk, the run exits with 5 and the log does not count as done."""
     (log,) = make_fleet(tmp_path / "logs", logs=1, seconds=10.0, seed=83, axes=1)
     store = FleetStore(tmp_path / "store")
     store.create()
@@ -68,7 +68,7 @@ def test_a_report_of_a_log_that_cannot_be_written_is_no_fault_of_the_log(tmp_pat
 
 
 def test_a_run_reports_the_logs_in_progress(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before a batch is done, not only after: a long one looked like nothing at work."""
+    """A long batch is reported when it starts and when it is done."""
     monkeypatch.setattr(running, "OWN_BATCH_S", 0.0)
     monkeypatch.setattr(running, "work_on_batch", lambda _, __, ___: 0)
     tasks = tuple(LogTask(place=f"{i}.mcap", size=1) for i in range(3))

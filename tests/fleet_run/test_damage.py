@@ -1,4 +1,4 @@
-"""A store with a damaged file: named with exit code 5, and mended by the next run."""
+"""Tests of stores with a damaged file: exit code 5 with its name, and repair by the next run."""
 
 import shutil
 from pathlib import Path
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.usefixtures("logs_are_done_here", "pictures_are_blank")
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with three logs of one axis, and the fleet of them, each log a batch of its own."""
+    """Return a folder with three logs of one axis and their fleet, one log per batch."""
     place = tmp_path_factory.mktemp("damage").resolve()
     for log in make_fleet(place / "logs", logs=3, seconds=10.0, seed=83, axes=1):
         with blank_pictures(), logs_done_here():
@@ -28,16 +28,16 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def test_no_damage_is_silent(place: Path, tmp_path: Path) -> None:
-    """Whichever bit of whichever file; `python -m tests.benchmarks.fleet_flips` does 300."""
+def test_all_damage_is_reported(place: Path, tmp_path: Path) -> None:
+    """Any bit of any file may change; `python -m tests.benchmarks.fleet_flips` tests 300 changes."""
     found = list(damages(place / "fleet", tmp_path, number=36, seed=8401))
     assert not [damage for damage in found if damage.silent]
     assert len({Path(damage.file).parts[0] for damage in found}) == 6
 
 
 @pytest.mark.parametrize("table", ["logs", "results", "bins", "derived"])
-def test_what_is_damaged_is_done_again(place: Path, tmp_path: Path, table: str) -> None:
-    """By the same command as ever; what is not damaged stays as it is."""
+def test_damaged_parts_are_repaired_by_the_next_run(place: Path, tmp_path: Path, table: str) -> None:
+    """The same command repairs them, and other parts do not change."""
     shutil.copytree(place, tmp_path / "copy")
     store, whole = FleetStore(tmp_path / "copy" / "fleet"), FleetStore(place / "fleet")
     part = min((store.folder / table).iterdir())
@@ -46,8 +46,8 @@ def test_what_is_damaged_is_done_again(place: Path, tmp_path: Path, table: str) 
     part.write_bytes(data)
     refused = run("fleet", "report", "fleet", cwd=tmp_path / "copy")
     assert refused.returncode == 5
-    said = f"Error: fleet/{table}/{part.name}: is damaged or from an earlier version; run the fleet again"
-    assert said in refused.stderr
+    message = f"Error: fleet/{table}/{part.name}: is damaged or from an earlier version; run the fleet again"
+    assert message in refused.stderr
     done = run("fleet", "run", "-o", "fleet", "--jobs", "1", cwd=tmp_path / "copy")
     assert done.returncode == 0, done.stderr
     assert f"{part}: is damaged; its logs are repeated" in done.stderr
@@ -59,8 +59,8 @@ def test_what_is_damaged_is_done_again(place: Path, tmp_path: Path, table: str) 
     assert run("fleet", "report", "fleet", "--no-pictures", cwd=tmp_path / "copy").returncode == 0
 
 
-def test_a_damaged_manifest_is_made_again_of_the_logs(place: Path, tmp_path: Path) -> None:
-    """What the message says to do works, and does no log twice."""
+def test_a_damaged_manifest_is_recreated_from_the_logs(place: Path, tmp_path: Path) -> None:
+    """The advice in the error works, and no log is repeated."""
     shutil.copytree(place, tmp_path / "copy")
     manifest = tmp_path / "copy" / "fleet" / "manifest.parquet"
     manifest.write_bytes(manifest.read_bytes()[:-3])
@@ -75,8 +75,8 @@ def test_a_damaged_manifest_is_made_again_of_the_logs(place: Path, tmp_path: Pat
     assert done.stderr.startswith("0 logs to do, 0 kB; 3 already done\n")
 
 
-def test_damaged_settings_are_not_guessed(place: Path, tmp_path: Path) -> None:
-    """Another model than that of the logs that are done would be mixed with it; a new start works."""
+def test_damaged_settings_are_rejected(place: Path, tmp_path: Path) -> None:
+    """A guessed model might differ from the finished logs' model; a fresh run works."""
     shutil.copytree(place, tmp_path / "copy")
     settings = tmp_path / "copy" / "fleet" / "settings.json"
     settings.write_text(settings.read_text(encoding="utf-8").replace("N + B", "N + K"), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Faults of a fleet with real processes; ``tests/benchmarks/fleet_faults.py`` has the slow ones."""
+"""Tests of faults of a fleet with real processes; ``tests/benchmarks/fleet_faults.py`` has the slow ones."""
 
 import os
 from collections.abc import Callable
@@ -13,10 +13,10 @@ from tests.fleet_run.faults import Bench
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
-    """Return a folder with a few logs, and the store that an undisturbed run made of them."""
+    """Return a folder with a few logs and the store of an undisturbed run."""
     bench = Bench(tmp_path_factory.mktemp("faults").resolve())
     make_fleet(bench.folder / "logs", logs=3, seconds=10.0, seed=8, axes=1)
-    # The last one takes longer than the others together, so that a run lasts when the first is done.
+    # The last log takes longer than the others together, so that the run continues after the first.
     (slow,) = make_fleet(bench.folder / "slow", logs=1, seconds=10.0, seed=9)
     slow.path.rename(bench.folder / "logs" / "zeta.npz")
     assert bench.run("whole", *HERE, limit=partial(os.umask, 0o022)).code == 0
@@ -25,7 +25,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", QUICK, ids=lambda fault: fault.__name__)
-def test_a_fault_costs_nothing_but_time(bench: Bench, fault: Callable[[Bench], str]) -> None:
-    """Nothing lost, nothing twice, the right exit code, and the results of an undisturbed run."""
-    said = fault(bench)
-    assert any(end in said for end in ("same results", "all others done", "timeout"))
+def test_a_fault_loses_no_log_and_changes_no_result(bench: Bench, fault: Callable[[Bench], str]) -> None:
+    """The exit code is right, no log is repeated, and the results equal those of an undisturbed run."""
+    summary = fault(bench)
+    assert any(end in summary for end in ("same results", "all others done", "timeout"))

@@ -1,4 +1,4 @@
-"""A fleet run by a call: the same store as the command's, from a script without a guard, from a notebook."""
+"""Tests of `imucal.run_fleet`: the same store as the command, from scripts and notebooks."""
 
 import html
 import json
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.usefixtures("logs_are_done_here", "pictures_are_blank")
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with three logs, one of them garbage, and the fleet that the command made of them."""
+    """Return a folder with three logs, one of them garbage, and the fleet that the command wrote."""
     folder = tmp_path_factory.mktemp("call").resolve()
     make_fleet(folder / "logs", logs=3, seconds=20.0, seed=6, axes=1)
     (folder / "logs/alpha/u00/15C/log0000.npz").write_bytes(b"garbage")
@@ -34,17 +34,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_a_call_does_what_the_command_does(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same rows with the same keys; what failed is in the fleet, and progress is told when asked for."""
+def test_the_function_and_the_command_write_the_same_fleet(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows and keys are equal, failed logs are in the fleet, and progress is reported."""
     monkeypatch.chdir(folder)
-    told: list[tuple[int, int]] = []
+    reports: list[tuple[int, int]] = []
 
-    def tell(done: int, of: int) -> None:
-        told.append((done, of))
+    def report(done: int, of: int) -> None:
+        reports.append((done, of))
 
-    fleet = imucal.run_fleet("logs", "called", labels=LABELS, shard=(1, 1), progress=tell)
-    assert told[0] == (0, 3)
-    assert told[-1] == (3, 3)
+    fleet = imucal.run_fleet("logs", "called", labels=LABELS, shard=(1, 1), progress=report)
+    assert reports[0] == (0, 3)
+    assert reports[-1] == (3, 3)
     assert [log.path for logs in fleet.failures.values() for log in logs] == [
         "logs/alpha/u00/15C/log0000.npz"
     ]
@@ -54,7 +56,7 @@ def test_a_call_does_what_the_command_does(folder: Path, monkeypatch: pytest.Mon
     assert called.bins().equals(typed.bins())
     assert called.manifest().equals(typed.manifest())
     assert called.settings() == typed.settings()
-    # And the command finds nothing to do in the folder of the call, nor the call in that of the command.
+    # Command and function find no work in each other's folder.
     again = run("fleet", "run", "-o", "called", "--shard", "1/1", "--max-failed", "50%", cwd=folder)
     assert again.stderr.startswith("0 logs to do, 0 kB; 3 already done\n")
     parts = sorted(Path("typed/logs").iterdir())
@@ -62,8 +64,10 @@ def test_a_call_does_what_the_command_does(folder: Path, monkeypatch: pytest.Mon
     assert sorted(Path("typed/logs").iterdir()) == parts
 
 
-def test_arguments_of_reading_make_the_same_key(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """However they are given: as the command's options, or as those of `imucal.read`."""
+def test_reading_arguments_and_options_have_the_same_key(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are given as command options or as arguments of `imucal.read`."""
     monkeypatch.chdir(folder)
     log = "logs/beta/u00/15C/log0001.npz"
     options = ("--skip", "1s", "--gyro-unit", "deg/s", "--strict")
@@ -83,8 +87,8 @@ print(fleet.asked, len(fleet.logs), __file__)
 
 
 @pytest.mark.slow
-def test_a_script_needs_no_guard(folder: Path) -> None:
-    """Workers do not run it: its line is printed once."""
+def test_a_script_needs_no_main_guard(folder: Path) -> None:
+    """Workers do not run the script, so it prints its line once."""
     script = folder / "script.py"
     script.write_text(SCRIPT.format(labels=LABELS))
     done = subprocess.run(  # noqa: S603 - our own interpreter
@@ -95,8 +99,8 @@ def test_a_script_needs_no_guard(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_notebook_may_call_it(folder: Path) -> None:
-    """Where a loop of events runs in the main thread already, and there is no script."""
+def test_the_function_works_in_a_notebook(folder: Path) -> None:
+    """An event loop runs in the main thread, and there is no script."""
     cell = (
         "import asyncio, imucal\n"
         "async def cell():\n"
@@ -117,8 +121,8 @@ def test_a_notebook_may_call_it(folder: Path) -> None:
 
 
 def test_a_zero_is_not_treated_as_missing() -> None:
-    """A take of 0 s was the whole log; what is off or empty is not said."""
-    said = {
+    """A duration of 0 s must not select the full log; false and empty values are omitted."""
+    arguments = {
         "take_s": 0.0,
         "skip_s": 0.0,
         "rate_hz": 0,
@@ -127,17 +131,16 @@ def test_a_zero_is_not_treated_as_missing() -> None:
         "columns": None,
         "time": "",
     }
-    assert as_json(said) == {"take_s": 0.0, "rate_hz": 0}
+    assert as_json(arguments) == {"take_s": 0.0, "rate_hz": 0}
 
 
-def test_a_part_of_no_length_is_no_data(folder: Path) -> None:
-    """As of one log; each of the fleet says so."""
+def test_an_empty_part_of_a_log_is_no_data(folder: Path) -> None:
     done = run("fleet", "run", "logs/beta", "--take", "0", "--shard", "1/1", "-o", "nought", cwd=folder)
     assert (done.returncode, "1 no-data" in done.stdout) == (4, True), (done.stdout, done.stderr)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "error", "said"),
+    ("arguments", "error", "message"),
     [
         ({"shard": (0, 4)}, ValueError, r"shard \(0, 4\), expected \(i, n\) with i from 1 to n"),
         ({"shard": (1, 2), "scheduler": "tcp://h:1"}, ValueError, "expected shard or scheduler, not both"),
@@ -175,22 +178,22 @@ def test_a_part_of_no_length_is_no_data(folder: Path) -> None:
         ({"folder": "logs"}, imucal.WriteError, "no imucal fleet; nothing was changed"),
     ],
 )
-def test_slips(
+def test_mistakes_are_rejected(
     folder: Path,
     monkeypatch: pytest.MonkeyPatch,
     arguments: dict[str, Any],
     error: type[Exception],
-    said: str,
+    message: str,
 ) -> None:
-    """Each says what was found and what is expected."""
+    """The error contains the given and the expected value."""
     monkeypatch.chdir(folder)
-    with pytest.raises(error, match=said):
+    with pytest.raises(error, match=message):
         imucal.run_fleet(**{"logs": "logs", "folder": "slip", "shard": (1, 1), **arguments})
     assert not Path("slip").exists()
 
 
 def test_the_report_is_written_once(folder: Path) -> None:
-    """A run with nothing to do leaves it as it is; one whose labels were mended writes it anew."""
+    """A run without work keeps the report; a run with corrected labels writes it again."""
     page = folder / "typed" / "fleet.html"
     before = page.stat().st_mtime_ns
     arguments = ("--shard", "1/1", "--max-failed", "50%", "-o", "typed")
@@ -203,7 +206,7 @@ def test_the_report_is_written_once(folder: Path) -> None:
 
 
 def test_a_fresh_run_repeats_everything(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In a folder that holds a report, and also where another model is asked for."""
+    """The folder may contain a report, and the model may change."""
     monkeypatch.chdir(folder)
     logs = "logs/beta"
     first = imucal.run_fleet(logs, "anew", labels=LABELS, shard=(1, 1))
@@ -211,25 +214,25 @@ def test_a_fresh_run_repeats_everything(folder: Path, monkeypatch: pytest.Monkey
     again = imucal.run_fleet(logs, "anew", labels=LABELS, shard=(1, 1), fresh=True, model="N")
     assert (first.asked, again.asked) == (1, 1)
     assert FleetStore("anew").settings()["model"] == "N"
-    said = run("fleet", "run", logs, "-o", "anew", "--shard", "1/1", "--fresh", cwd=folder)
-    assert (said.returncode, said.stderr.splitlines()[0].split(",")[0]) == (0, "1 log to do"), said.stderr
+    done = run("fleet", "run", logs, "-o", "anew", "--shard", "1/1", "--fresh", cwd=folder)
+    assert (done.returncode, done.stderr.splitlines()[0].split(",")[0]) == (0, "1 log to do"), done.stderr
     assert FleetStore("anew").settings() == {"model": "N + B + K", "level": 0.95}
 
 
 def test_labels_may_be_given_later(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the logs that the folder has, as its page says to type it; labels that they have besides stay."""
+    """The page contains the command to type; other labels of the logs are kept."""
     monkeypatch.chdir(folder)
     fleet = imucal.run_fleet("logs", "later", labels="{model}/*/*/*.npz", shard=(1, 1))
     assert len(fleet.loose) == 2
     page = render_fleet_page(fleet)
     typed = ("fleet", "run", "-o", "later", "--labels", fleet.labels)
     assert f"imucal {shlex.join(typed)}" in html.unescape(page)
-    said = run(*typed, "--shard", "1/1", "--max-failed", "50%", cwd=folder)
-    assert said.stderr.startswith("0 logs to do, 0 kB; 3 already done\n")
+    done = run(*typed, "--shard", "1/1", "--max-failed", "50%", cwd=folder)
+    assert done.stderr.startswith("0 logs to do, 0 kB; 3 already done\n")
     manifest = FleetStore("later").manifest()
     assert manifest["unit"].null_count() == 0
     assert sorted(manifest["model"]) == ["alpha", "beta", "gamma"]
-    # And by a call: of which two logs are none of the pattern's, and keep what they have.
+    # Two logs do not match the pattern and keep their labels.
     again = imucal.run_fleet(folder="later", labels="beta/{unit}/*/*.npz", shard=(1, 1))
     assert not again.loose
     unlike = run("fleet", "run", "-o", "later", "--labels", "beta/{unit}/*/*.npz", "--dry-run", cwd=folder)

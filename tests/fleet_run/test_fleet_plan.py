@@ -1,4 +1,4 @@
-"""What of a fleet is to be done: less what is done, each content once, the same in every shard."""
+"""Tests of the plan of a fleet: finished logs are skipped, and every content is done once."""
 
 import os
 import threading
@@ -18,7 +18,7 @@ from imucal.fleet_run.plan import batches, plan_fleet
 
 @pytest.fixture
 def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FleetSettings:
-    """Return settings of a store in an empty folder, which is the working one."""
+    """Return the settings of a store in an empty working folder."""
     monkeypatch.chdir(tmp_path)
     return FleetSettings(store=str(tmp_path / "fleet"), folder=str(tmp_path), memory=1 << 30)
 
@@ -29,12 +29,12 @@ def plan(settings: FleetSettings, *paths: str, **reading: object) -> FleetPlan:
 
 
 def copies(made: FleetPlan) -> dict[str, str]:
-    """Return which logs are copies, and of which."""
+    """Return the copied logs with their originals."""
     return {log.path: log.copy_of for log in made.logs if log.copy_of}
 
 
 def finish(settings: FleetSettings, made: FleetPlan, status: str = "ok") -> None:
-    """Commit that all tasks of a plan ended so, without doing them."""
+    """Commit all tasks of a plan with this status, without work."""
     store = FleetStore(settings.store)
     store.create()
     store.add_to_manifest(made.manifest())
@@ -60,8 +60,8 @@ def write(**contents: str) -> None:
         Path(name).write_text(text)
 
 
-def test_what_is_done_is_not_done_again(settings: FleetSettings) -> None:
-    """But a changed file, changed settings and changed ways of reading are new."""
+def test_finished_logs_are_skipped(settings: FleetSettings) -> None:
+    """A changed file, changed settings and changed reading options are new work."""
     write(a="aaa", b="bb")
     finish(settings, plan(settings, "a", "b"))
     again = plan(settings, "a", "b")
@@ -79,19 +79,21 @@ def test_what_is_done_is_not_done_again(settings: FleetSettings) -> None:
     [("ok", False), ("unreadable", False), ("no-data", False)]
     + [(status, True) for status in ("memory", "timeout", "crash")],
 )
-def test_what_may_go_better_is_tried_again(settings: FleetSettings, status: str, *, again: bool) -> None:
-    """Time, memory and crashes are not the log's alone."""
+def test_failures_of_the_machine_are_tried_again(
+    settings: FleetSettings, status: str, *, again: bool
+) -> None:
+    """Timeouts, missing memory and crashes may not be caused by the log."""
     write(a="aaa")
     finish(settings, plan(settings, "a"), status)
     found = plan(settings, "a")
     assert paths(found.tasks) == paths(found.own("again")) == (["a"] if again else [])
-    # In the order of the logs, whatever became of them.
+    # The tasks are in the order of the logs, whatever their status.
     write(b="bb")
     assert paths(plan(settings, "a", "b").tasks) == (["a", "b"] if again else ["b"])
 
 
 def test_a_log_that_could_not_be_opened_is_tried_again(settings: FleetSettings) -> None:
-    """Nothing is known of its content."""
+    """Its content is unknown."""
     store = FleetStore(settings.store)
     store.create()
     store.add_to_manifest(plan(settings, "a").manifest())
@@ -100,21 +102,21 @@ def test_a_log_that_could_not_be_opened_is_tried_again(settings: FleetSettings) 
 
 
 def test_equal_contents_are_done_once(settings: FleetSettings) -> None:
-    """The first counts; a file of the same size is another one, and so is one of the same edges."""
+    """The first log counts; equal sizes or equal edges are not equal contents."""
     edge = "e" * (1 << 16)
     write(a="same", b="size", c="same", d=edge + "x" + edge, e=edge + "y" + edge)
     found = plan(settings, "a", "b", "c", "d", "e")
     assert paths(found.tasks) == ["a", "b", "d", "e"]
     assert copies(found) == {"c": "a"}
     assert found.manifest()["copy_of"].to_list() == [None, None, "a", None, None]
-    # A shard answers for its own logs; the manifest has all.
+    # A shard contains its own logs, and the manifest contains all logs.
     second = plan(replace(settings, shard=(2, 2)), "a", "b", "c", "d", "e")
     assert paths(second.own()) == ["b", "d"]
     assert second.manifest().equals(found.manifest())
 
 
-def test_a_log_that_was_moved_is_known_by_its_content(settings: FleetSettings) -> None:
-    """Also beside the old one, whichever is named first."""
+def test_a_moved_log_is_recognised_by_its_content(settings: FleetSettings) -> None:
+    """The old log may still exist, in any order."""
     write(a="same", other="else")
     finish(settings, plan(settings, "a"))
     Path("a").rename("b")
@@ -125,16 +127,16 @@ def test_a_log_that_was_moved_is_known_by_its_content(settings: FleetSettings) -
     assert (both.tasks, copies(both)) == ([], {"b": "a"})
 
 
-def test_the_same_content_read_in_two_ways_is_two_results(settings: FleetSettings) -> None:
-    """A key is of content and settings."""
+def test_equal_contents_with_different_options_are_two_results(settings: FleetSettings) -> None:
+    """A key depends on content and settings."""
     write(a="same", b="same")
     entries = [LogTask(place="a"), LogTask(place="b", reading={"rate_hz": 2.0})]
     found = plan_fleet(entries, settings)
     assert (paths(found.tasks), copies(found)) == (["a", "b"], {})
 
 
-def test_a_bag_is_all_of_its_files(settings: FleetSettings) -> None:
-    """Not their names."""
+def test_the_content_of_a_bag_is_that_of_all_its_files(settings: FleetSettings) -> None:
+    """The names of the files do not matter."""
     for name, text in (("one", "x"), ("two", "x"), ("three", "y")):
         Path(name).mkdir()
         write(**{f"{name}/metadata.yaml": "m", f"{name}/{name}_0.db3": text})
@@ -143,8 +145,8 @@ def test_a_bag_is_all_of_its_files(settings: FleetSettings) -> None:
     assert found.tasks[0].size == 2
 
 
-def test_shards_share_all_logs_whenever_they_start(settings: FleetSettings) -> None:
-    """Which logs are whose does not change with what is done."""
+def test_shards_contain_every_log_once_whenever_they_start(settings: FleetSettings) -> None:
+    """The division does not depend on finished logs."""
     names = [f"log{i}" for i in range(10)]
     write(**{name: name * (i + 1) for i, name in enumerate(names)})
     first, *others = (replace(settings, shard=(number, 3)) for number in (1, 2, 3))
@@ -156,18 +158,18 @@ def test_shards_share_all_logs_whenever_they_start(settings: FleetSettings) -> N
 
 
 @pytest.mark.slow
-def test_a_shard_of_very_many_logs_is_found_at_once(settings: FleetSettings) -> None:
-    """A hundred thousand: by a look at each, and not at each for each."""
+def test_a_shard_of_very_many_logs_is_found_quickly(settings: FleetSettings) -> None:
+    """The cost for 100 000 logs is linear."""
     names = [f"{number}.mcap" for number in range(100_000)]
     begun = time.process_time()
     part = plan(replace(settings, shard=(2, 2)), *names)
-    # Each against each took more than a minute.
+    # A comparison of all pairs takes more than a minute.
     assert time.process_time() - begun < 20
     assert paths(part.own()) == paths(part.tasks) == names[1::2]
 
 
-def test_content_that_comes_in_small_pieces_is_the_same(tmp_path: Path) -> None:
-    """As from a file system over a network, which may return less than was asked for."""
+def test_the_checksum_does_not_depend_on_the_size_of_reads(tmp_path: Path) -> None:
+    """A network file system may return less than requested."""
 
     def checksum(pieces: list[bytes]) -> str:
         pipe = tmp_path / f"pipe{len(pieces)}"
@@ -189,8 +191,8 @@ def test_content_that_comes_in_small_pieces_is_the_same(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("workers", "seconds"), [(2, 30.0), (50, 30.0), (1, 0.0), (3, 1e9)])
-def test_batches_hold_every_task_once(workers: int, seconds: float) -> None:
-    """Of about the time that is asked, or so many that every worker has some."""
+def test_batches_contain_every_task_once(workers: int, seconds: float) -> None:
+    """A batch takes about the requested time, or less so that every worker has some."""
     tasks = [LogTask(place=str(i), size=i * 10**6) for i in range(100)]
     made = list(batches(tasks, workers=workers, seconds=seconds))
     assert [task for batch in made for task in batch] == tasks
@@ -200,7 +202,7 @@ def test_batches_hold_every_task_once(workers: int, seconds: float) -> None:
 
 
 def test_a_long_run_has_longer_batches() -> None:
-    """Each is a part of the store: 1e5 logs of 6 s make 2 000 on eight workers, not 20 000."""
+    """Every batch is a part of the store: 1e5 logs of 6 s on eight workers are 2 000 parts, not 20 000."""
     tasks = [LogTask(place=f"{number}.mcap", size=85_000_000) for number in range(100_000)]
     sizes = [len(batch) for batch in batches(tasks, workers=8, seconds=30.0)]
     assert sum(sizes) == len(tasks)
@@ -209,6 +211,5 @@ def test_a_long_run_has_longer_batches() -> None:
     assert set(few) == {5}
 
 
-def test_no_tasks_are_no_batches() -> None:
-    """Nothing to hand out."""
+def test_no_tasks_have_no_batches() -> None:
     assert list(batches([], workers=2, seconds=30.0)) == []

@@ -1,4 +1,4 @@
-"""Batches whose workers fail, with a played client of Dask: what is given up, what is handed out again."""
+"""Tests of batches whose workers fail, with a fake Dask client: which are given up or submitted again."""
 
 from collections.abc import Iterable
 from functools import partial
@@ -11,8 +11,8 @@ from imucal.fleet_run import on_dask
 from imucal.fleet_run.on_dask import DaskWorkers, Lost
 
 
-class Played:
-    """A client of Dask whose scheduler has so many workers of one thread; its futures are played, too."""
+class FakeClient:
+    """A Dask client whose scheduler has some workers with one thread; its futures are given."""
 
     status = "running"
 
@@ -27,7 +27,7 @@ class Played:
 
 
 class Future:
-    """What became of a batch."""
+    """The outcome of a batch."""
 
     def __init__(self, status: str, error: Exception | None = None) -> None:
         self.status, self.error = status, error
@@ -41,10 +41,10 @@ class Future:
         return "result"
 
     def release(self) -> None:
-        """Forget it."""
+        """Do nothing."""
 
 
-def run_of(client: Played) -> DaskWorkers[str, str]:
+def run_of(client: FakeClient) -> DaskWorkers[str, str]:
     """Return a run on a cluster."""
     return DaskWorkers(cast("Any", client), "here", lambda batch: batch)
 
@@ -57,19 +57,19 @@ def run_of(client: Played) -> DaskWorkers[str, str]:
         ("cancelled", "result"),
     ],
 )
-def test_what_the_work_raises_is_not_tried_for_ever(
+def test_work_that_raises_is_not_submitted_again(
     monkeypatch: pytest.MonkeyPatch, status: str, outcome: Lost | str
 ) -> None:
-    """What could not be brought, or was lost with the scheduler, is handed out again."""
+    """Work that was cancelled with the scheduler is submitted again."""
     monkeypatch.setattr("distributed.wait", lambda *_, **__: None)
-    run = run_of(Played(futures=[Future(status, OSError(28, "no room")), Future("finished")]))
+    run = run_of(FakeClient(futures=[Future(status, OSError(28, "no room")), Future("finished")]))
     assert [*run.outcomes(partial(next, iter(["batch"]), None))] == [("batch", outcome)]
     assert not run.hands
 
 
-def test_nobody_is_waited_for_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
-    """After a time without any worker the run ends, and says what to do."""
+def test_a_run_without_workers_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The error contains advice."""
     monkeypatch.setattr(on_dask, "SILENCE_S", 0.0)
-    assert run_of(Played(2)).room() == 2 * on_dask.WINDOW
+    assert run_of(FakeClient(2)).room() == 2 * on_dask.WINDOW
     with pytest.raises(EngineError, match=r"^here: scheduler or workers are gone; finished logs are kept"):
-        run_of(Played(0)).room()
+        run_of(FakeClient(0)).room()

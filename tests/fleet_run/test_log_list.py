@@ -1,4 +1,4 @@
-"""Names that a person gives -> logs."""
+"""Tests of the search for logs by names, folders and wildcards."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from tests.cli.run import run
 
 @pytest.fixture
 def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a folder of logs, a bag that is a folder, and what is no log."""
+    """Return a folder of logs with a bag folder and other files."""
     for name in (
         *("logs/b/2.mcap", "logs/b/10.mcap", "logs/a/x.csv.gz", "logs/a/notes.txt", "logs/.hidden.csv"),
         *("logs/bag/metadata.yaml", "logs/bag/bag_0.db3", "logs/a/readme.md"),
@@ -41,27 +41,26 @@ ALL = ["logs/a/x.csv.gz", "logs/b/2.mcap", "logs/b/10.mcap", "logs/bag"]
     ],
 )
 @pytest.mark.usefixtures("tree")
-def test_names_stand_for_logs(names: list[str], logs: list[str]) -> None:
-    """Each once, natural numbers in their order; a named file is taken whatever it is."""
+def test_names_are_expanded_to_logs(names: list[str], logs: list[str]) -> None:
+    """Each log appears once, in natural order; an explicitly named file is always a log."""
     found = find_logs(names)
     assert found == logs
 
 
-def test_a_list_has_a_name_a_line(tree: Path) -> None:
-    """On standard input, of which each may be a folder, too."""
+def test_a_list_has_one_name_per_line(tree: Path) -> None:
+    """Lines of standard input may also be folders."""
     done = run("fleet", "run", "-", "--dry-run", cwd=tree, text="logs/b\n\n logs/a/x.csv.gz \n")
     found = [line.split("\t")[1] for line in done.stdout.splitlines()]
     assert found == [*ALL[1:3], ALL[0]]
 
 
-def test_a_missing_log_is_a_log() -> None:
-    """Its reader says that it can't be opened, and the others are done."""
+def test_a_missing_log_is_kept() -> None:
+    """Its reader reports the error, and the other logs are done."""
     assert find_logs(["gone/a.mcap"]) == ["gone/a.mcap"]
 
 
 @pytest.mark.usefixtures("tree")
-def test_a_name_with_brackets_that_exists_is_no_wildcard(tree: Path) -> None:
-    """As [1].csv."""
+def test_an_existing_name_with_brackets_is_not_a_wildcard(tree: Path) -> None:
     (tree / "log[1].csv").write_text("x")
     assert find_logs(["log[1].csv"]) == ["log[1].csv"]
 
@@ -74,8 +73,8 @@ def test_a_name_with_brackets_that_exists_is_no_wildcard(tree: Path) -> None:
         ("nowhere", r"nowhere: no such file or folder; expected logs, or folders with logs"),
     ],
 )
-def test_nothing_is_an_error(tree: Path, name: str, message: str) -> None:
-    """It is a slip, never an empty fleet."""
+def test_a_name_without_logs_is_an_error(tree: Path, name: str, message: str) -> None:
+    """An empty fleet would hide the mistake."""
     (tree / "empty").mkdir()
     with pytest.raises(ReadError, match=message):
         find_logs([name])

@@ -1,4 +1,4 @@
-"""The manifest: labels and reading options of each log, and what is wrong with it."""
+"""Tests of manifests: labels and reading options of each log, and errors."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from imucal.fleet_run.plan import read_manifest
 
 
 def test_labels_and_options_are_read(tmp_path: Path) -> None:
-    """Numbers are numbers; an empty cell says nothing; a free column stays text; URLs stay as they are."""
+    """Numbers are converted, empty cells are omitted, other columns remain text, and URLs are unchanged."""
     file = tmp_path / "m.csv"
     file.write_text(
         "path,model,unit,temperature_c,started,rate_hz,gyro_unit,strict,topic,bench\n"
@@ -53,8 +53,7 @@ def test_labels_and_options_are_read(tmp_path: Path) -> None:
         ("path,take_s\na,inf\n", ":2: column 'take_s' is 'inf', expected a number"),
     ],
 )
-def test_a_slip_is_named_with_its_line(tmp_path: Path, text: str, message: str) -> None:
-    """And what was expected."""
+def test_an_error_contains_its_line_and_the_expected_value(tmp_path: Path, text: str, message: str) -> None:
     file = tmp_path / "m.csv"
     file.write_text(text)
     with pytest.raises(ManifestError) as caught:
@@ -63,8 +62,7 @@ def test_a_slip_is_named_with_its_line(tmp_path: Path, text: str, message: str) 
     assert caught.value.exit_code == 2
 
 
-def test_a_manifest_that_is_no_text_is_refused(tmp_path: Path) -> None:
-    """As a parquet file."""
+def test_a_binary_manifest_is_rejected(tmp_path: Path) -> None:
     file = tmp_path / "m.csv"
     file.write_bytes(b"PAR1\xff\xfe")
     with pytest.raises(ManifestError, match=r"m\.csv: can't be read \(.*; expected a CSV table"):

@@ -1,6 +1,6 @@
-"""Other users of the machine: none can hand in a task, read an answer, or plant a module.
+"""Tests of protection against other users: they cannot submit tasks, read answers or plant modules.
 
-Where tests run as root, another user tries it; elsewhere what such a user would need is looked for.
+As root, the tests act as another user; otherwise they check the conditions that such a user would need.
 """
 
 import importlib
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="as
 
 @pytest.fixture
 def shared() -> Iterator[Path]:
-    """Yield a folder that all users may write to, outside of pytest's own, which is private."""
+    """Yield a folder that all users may write to, outside of pytest's private folder."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         folder.chmod(0o777)
@@ -35,7 +35,7 @@ def shared() -> Iterator[Path]:
 
 
 def as_nobody(*command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """Run a command as another user, or as this one where tests do not run as root."""
+    """Run a command as another user, or as this user if the tests do not run as root."""
     user: dict[str, Any] = {"user": NOBODY, "group": NOBODY, "extra_groups": []} if IS_ROOT else {}
     done: subprocess.CompletedProcess[str] = subprocess.run(  # noqa: S603 - the commands of these tests
         command, cwd=cwd, capture_output=True, text=True, check=False, **user
@@ -45,7 +45,7 @@ def as_nobody(*command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.slow
 def test_a_run_opens_no_port_and_no_pipe_to_others(tmp_path: Path) -> None:
-    """Of none of its processes; and what speaks to them is closed to other users."""
+    """None of its processes has a socket, and other users cannot write to their pipes."""
     bench = Bench(tmp_path.resolve())
     make_fleet(bench.folder / "logs", logs=3, seconds=60.0, seed=81)
     run = bench.start("store", "--jobs", "2")
@@ -60,7 +60,7 @@ def test_a_run_opens_no_port_and_no_pipe_to_others(tmp_path: Path) -> None:
 
 
 def test_a_run_loads_no_module_that_others_planted(tmp_path: Path, shared: Path) -> None:
-    """Where it is started, in a folder that all may write to, also the children load their own packages."""
+    """The run starts in a folder that all users may write to; children also load their own packages."""
     make_fleet(tmp_path / "logs", logs=1, seconds=10.0, seed=82, axes=1)
     mark = shared / "was-run"
     for name in ("zlib_ng.py", "numpy.py", "sitecustomize.py"):
@@ -77,10 +77,10 @@ def test_a_run_loads_no_module_that_others_planted(tmp_path: Path, shared: Path)
 
 
 @pytest.mark.parametrize("scratch", ["open", "of another's in one for all"])
-def test_a_child_looks_for_modules_in_no_scratch_folder(
+def test_a_child_does_not_import_from_scratch_folders(
     scratch: str, shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As Dask adds one to its workers' path; a folder of one's own stays there."""
+    """Dask adds such a folder to its workers' path; a private folder stays in the path."""
     if scratch != "open" and not IS_ROOT:
         pytest.skip("nobody else is at hand")
     folder = shared
@@ -99,5 +99,5 @@ def test_a_child_looks_for_modules_in_no_scratch_folder(
     )
     child.end()
     assert planted.words == "ModuleNotFoundError: No module named 'planted_module'"
-    # It was found; a module is nothing that can be sent back.
+    # The module was imported, but modules cannot be pickled.
     assert own.words.startswith("TypeError: cannot pickle 'module' object")

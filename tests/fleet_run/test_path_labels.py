@@ -1,4 +1,4 @@
-"""Labels from paths."""
+"""Tests of labels from paths."""
 
 import pytest
 
@@ -23,10 +23,10 @@ from imucal.fleet_run.plan import labels_in
         ("{unit}/*.csv", "u1/deep/x.csv", {"unit": "deep"}),
     ],
 )
-def test_a_pattern_is_held_against_the_end_of_a_path(
+def test_a_pattern_is_matched_with_the_end_of_a_path(
     pattern: str, path: str, labels: dict[str, str | float]
 ) -> None:
-    """A star and a label stay within a folder's name."""
+    """A star and a label match within one folder name."""
     assert labels_in(path, pattern) == labels
 
 
@@ -40,8 +40,8 @@ def test_a_pattern_is_held_against_the_end_of_a_path(
         ("{path}/x", "'path' is not a label name"),
     ],
 )
-def test_a_pattern_that_can_not_be_meant_is_refused(pattern: str, message: str) -> None:
-    """Says what to write."""
+def test_invalid_patterns_are_rejected(pattern: str, message: str) -> None:
+    """The error contains a valid example."""
     with pytest.raises(ArgumentError, match=r"^labels ") as caught:
         label_pattern(pattern)
     assert message in str(caught.value)

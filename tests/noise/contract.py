@@ -1,4 +1,4 @@
-"""The contract of a noise term: what a new one must have, as sentences that say what was forgotten."""
+"""The contract of a noise term: sentences about missing parts of a new term."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +15,7 @@ _ATTRIBUTES = ("symbol", "names", "units", "datasheet", "stroke", "description")
 
 
 def missing(symbol: str) -> list[str]:
-    """Return what the term of that symbol lacks, a sentence each; nothing for a complete one."""
+    """Return one sentence per missing part of the term with that symbol."""
     return [*_in_the_class(symbol, TERMS[symbol]), *_in_the_fits(symbol, TERMS[symbol]), *_elsewhere(symbol)]
 
 

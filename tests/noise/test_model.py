@@ -1,4 +1,4 @@
-"""NoiseModel: sums, text, units, refusals."""
+"""Tests of NoiseModel: sums, text, units and errors."""
 
 import re
 
@@ -17,8 +17,8 @@ REPEATABLE = " and ".join(symbol for symbol, term in TERMS.items() if term.repea
 TEXT = "N=1e-3 + B=2e-5 + K=3e-6 + GM(sigma=1e-4, T=50)"
 
 
-def test_the_example_is_understood() -> None:
-    """Terms in the order they stand, values as written."""
+def test_the_example_is_parsed() -> None:
+    """Terms keep their order, and values are exact."""
     model = NoiseModel.parse(TEXT)
     assert str(model) == "N + B + K + GM"
     assert [term.coefficient for term in model.terms] == [1e-3, 2e-5, 3e-6, 1e-4]
@@ -26,7 +26,7 @@ def test_the_example_is_understood() -> None:
 
 
 def test_signs_and_exponents_are_not_plus_signs() -> None:
-    """``1e+3`` is one number; a drift may be negative; blanks do not matter."""
+    """``1e+3`` is one number, a drift may be negative, and blanks do not matter."""
     model = NoiseModel.parse("N=1E+3+R=-2.5e-06 +GM( sigma = 1e+1 ,T=5e+2 )+GM(sigma=1,T=2)")
     assert str(model) == "N + R + 2*GM"
     assert model.terms[1] == RateRamp(value=-2.5e-6)
@@ -38,14 +38,14 @@ positive = st.floats(1e-300, 1e300)
 
 @settings(deadline=None)
 @given(n=positive, k=positive, r=st.floats(-1e300, 1e300), sigma=positive, t=positive)
-def test_every_value_reads_back_exactly(n: float, k: float, r: float, sigma: float, t: float) -> None:
-    """The text holds all digits."""
+def test_every_value_is_read_back_exactly(n: float, k: float, r: float, sigma: float, t: float) -> None:
+    """The text contains all digits."""
     model = NoiseModel.parse(f"N={n!r} + K={k!r} + R={r!r} + GM(sigma={sigma!r}, T={t!r})")
     assert NoiseModel.parse(model.text()) == model
 
 
-def test_everything_adds_up() -> None:
-    """Independent terms: avar, psd, D and V are the sums of the terms'."""
+def test_terms_add_up() -> None:
+    """Terms are independent, so avar, psd, D and V are sums over the terms."""
     model = NoiseModel.parse(TEXT + " + R=1e-6 + Q=1e-7")
     m = np.array([1.0, 8.0, 300.0])
     for name in ("avar", "structure", "sum_variance", "psd"):
@@ -53,16 +53,14 @@ def test_everything_adds_up() -> None:
         npt.assert_allclose(getattr(model, name)(m, rate_hz=200.0), total, rtol=1e-13)
 
 
-def test_no_terms_are_silence() -> None:
-    """The empty sum is zero."""
+def test_a_model_without_terms_is_zero() -> None:
     model = NoiseModel(terms=())
     assert str(model) == ""
     npt.assert_array_equal(model.avar(np.array([1.0]), rate_hz=1.0), 0.0)
     npt.assert_array_equal(model.simulate(3, rate_hz=1.0, rng=np.random.default_rng(0)), np.zeros(3))
 
 
-def test_samples_follow_the_seed() -> None:
-    """One seed, one series."""
+def test_a_seed_determines_the_samples() -> None:
     model = NoiseModel.parse(TEXT)
     first = model.simulate(50, rate_hz=10.0, rng=np.random.default_rng(9))
     npt.assert_array_equal(first, model.simulate(50, rate_hz=10.0, rng=np.random.default_rng(9)))
@@ -81,36 +79,35 @@ def test_samples_follow_the_seed() -> None:
         ("GM(sigma=a, T=2)", "'a' is not a number"),
     ],
 )
-def test_refuses_what_is_not_a_sum_of_valued_terms(text: str, found: str) -> None:
-    """The message names the part and shows what a model looks like."""
+def test_invalid_models_are_rejected(text: str, found: str) -> None:
+    """The error contains the invalid part and an example."""
     with pytest.raises(ValueError, match=found + "; write a sum such as 'N=1e-3"):
         NoiseModel.parse(text)
 
 
 @pytest.mark.parametrize("text", ["N=1 + N=2", "K=1 + N=1 + K=1"])
-def test_refuses_a_repeated_term(text: str) -> None:
-    """Two of a kind are one; only correlation times tell Gauss-Markov terms apart."""
+def test_a_repeated_term_is_rejected(text: str) -> None:
+    """Only Gauss-Markov terms differ by more than a coefficient, so only they may be repeated."""
     with pytest.raises(ValueError, match=f"appears more than once; only {REPEATABLE} may"):
         NoiseModel.parse(text)
 
 
 def test_structures_are_sorted_and_counted() -> None:
-    """By rising slope; several GM as a count."""
+    """Terms are in the order of increasing slope, and several GM are a count."""
     assert parse_structure("K + N + B") == ("N", "B", "K")
     assert parse_structure("GM+2*GM + N") == ("N", "GM", "GM", "GM")
     assert structure_text(parse_structure(" N+GM +GM")) == "N + 2*GM"
 
 
 @pytest.mark.parametrize("text", ["", "N + ", "N + Z", "auto", "N=1", "0*GM", "-1*GM", "GM*2"])
-def test_refuses_an_unknown_structure(text: str) -> None:
-    """The message lists the terms and an example."""
+def test_an_unknown_structure_is_rejected(text: str) -> None:
+    """The error lists the terms and an example."""
     known = ", ".join(TERMS)
     with pytest.raises(ValueError, match=rf"is not one of {known}; write 'N \+ B \+ K'"):
         parse_structure(text)
 
 
-def test_refuses_a_repeated_structure() -> None:
-    """2*N is N."""
+def test_a_repeated_structure_is_rejected() -> None:
     with pytest.raises(ValueError, match=f"N appears more than once; only {REPEATABLE} may"):
         parse_structure("2*N")
 
@@ -124,13 +121,13 @@ def test_refuses_a_repeated_structure() -> None:
         ("n + 2*ar1", "N + 2*GM"),
     ],
 )
-def test_what_others_call_the_terms_is_understood(text: str, symbols: str) -> None:
-    """IEEE's and the GMWM's abbreviations, in small letters too; printed are the symbols."""
+def test_common_abbreviations_of_terms_are_parsed(text: str, symbols: str) -> None:
+    """IEEE's and GMWM's abbreviations are accepted in any case; the output has the symbols."""
     assert structure_text(parse_structure(text)) == symbols
 
 
-def test_values_may_have_the_names_of_others() -> None:
-    """The same numbers; a term may not hide behind a second name."""
+def test_values_may_use_common_abbreviations() -> None:
+    """A term may not be repeated under its second name."""
     model = NoiseModel.parse("ARW=1e-3 + bi=2e-5 + AR1(sigma=1e-4, T=50)")
     assert model.text() == NoiseModel.parse("N=1e-3 + B=2e-5 + GM(sigma=1e-4, T=50)").text()
     with pytest.raises(ValueError, match="N appears more than once"):
@@ -138,7 +135,6 @@ def test_values_may_have_the_names_of_others() -> None:
 
 
 def test_no_abbreviation_has_two_meanings() -> None:
-    """Of all terms and symbols together."""
     names = [name for term in TERMS.values() for name in (term.symbol, *term.abbreviations)]
     assert len(names) == len(set(names))
     assert all(name == name.upper() for name in names)
@@ -187,20 +183,20 @@ DEGREE = np.pi / 180
     ],
 )
 def test_numbers_may_have_the_units_of_data_sheets(sensor: str, text: str, si: float) -> None:
-    """As data sheets print and people type them; by the definition of each unit."""
+    """Spellings of data sheets and users are accepted, with the factor by definition."""
     (term,) = NoiseModel.parse(text, Sensor(sensor)).terms
     assert term.coefficient == pytest.approx(si, rel=1e-14)
 
 
-def test_units_stand_in_sums_and_times() -> None:
-    """A plus sign in an exponent is none, nor an e that ends a number; T has a unit, too."""
+def test_units_are_parsed_in_sums_and_times() -> None:
+    """Signs in exponents and a final e are not operators, and T has a unit too."""
     model = NoiseModel.parse("N=3e+0deg/sqrt(h)+B=5deg/h + GM(sigma=2deg/h, T=5 min)+K=1e-6")
     assert str(model) == "N + B + GM + K"
     assert model.terms[2].values == pytest.approx((2 * DEGREE / 3600, 300.0))
 
 
 @pytest.mark.parametrize(
-    ("sensor", "text", "said"),
+    ("sensor", "text", "message"),
     [
         ("gyroscope", "N=5deg/h", "'deg/h' is no unit of N, the angle random walk of the gyroscope; "),
         ("gyroscope", "N=60ug/sqrt(Hz)", "'ug/sqrt(Hz)' is no unit of N"),
@@ -212,7 +208,7 @@ def test_units_stand_in_sums_and_times() -> None:
         ("gyroscope", "GM(sigma=1deg/h, T=5deg)", "'deg' is no unit of a time of GM"),
     ],
 )  # fmt: skip
-def test_another_terms_unit_is_refused_with_those_that_fit(sensor: str, text: str, said: str) -> None:
-    """A rate for a density, the other sensor's, what is no unit at all."""
-    with pytest.raises(ValueError, match=re.escape(said)):
+def test_a_unit_of_another_quantity_is_rejected(sensor: str, text: str, message: str) -> None:
+    """The error lists the valid units."""
+    with pytest.raises(ValueError, match=re.escape(message)):
         NoiseModel.parse(text, Sensor(sensor))

@@ -1,4 +1,4 @@
-"""Adding a term costs one class and its line in the table; every part of imucal knows it or says no."""
+"""Tests that a new term needs only a class and a line in the table, and is rejected where unsupported."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -95,14 +95,14 @@ NEW = {"S": "S(amplitude=0.5, period=4.0)", "SGM": "SGM(sigma=0.3, T=0.5)"}
 
 @pytest.fixture(autouse=True)
 def _added(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Write the terms' lines in the table."""
+    """Add the terms to the table."""
     for term in (Sinusoid, SecondOrder):
         monkeypatch.setitem(TERMS, term.symbol, term)
 
 
 @pytest.mark.parametrize("text", NEW.values())
-def test_it_is_parsed_written_and_added_up(text: str) -> None:
-    """The dataclass's fields are the syntax."""
+def test_a_new_term_is_parsed_and_written(text: str) -> None:
+    """The fields of the dataclass are the syntax."""
     model = NoiseModel.parse(f"N=1e-3 + {text}")
     assert model.terms[1].text() == text
     assert NoiseModel.parse(model.text()) == model
@@ -110,8 +110,8 @@ def test_it_is_parsed_written_and_added_up(text: str) -> None:
     assert parse_structure(f"{model.terms[1].symbol} + N") == ("N", model.terms[1].symbol)
 
 
-def test_a_model_may_contain_a_term_as_often_as_it_declares() -> None:
-    """One sinusoid; several second-order terms, numbered."""
+def test_a_model_may_only_repeat_terms_that_allow_it() -> None:
+    """There is one sinusoid, but several numbered second-order terms."""
     with pytest.raises(ValueError, match="S appears more than once; only GM and SGM may"):
         parse_structure("2*S")
     assert term_keys(parse_structure("2*SGM + N")) == ("N", "SGM1", "SGM2")
@@ -119,8 +119,8 @@ def test_a_model_may_contain_a_term_as_often_as_it_declares() -> None:
 
 
 @pytest.mark.parametrize(("symbol", "text"), NEW.items())
-def test_its_curve_follows_from_its_structure_function(symbol: str, text: str) -> None:
-    """The mean of many simulated curves is the Allan variance that the base class works out."""
+def test_the_curve_of_a_new_term_follows_from_its_structure_function(symbol: str, text: str) -> None:
+    """The mean of many simulated curves agrees with the Allan variance of the base class."""
     model = NoiseModel.parse(text)
     m = np.array([1, 3, 20, 60])
     expected = model.avar(m.astype(np.float64), rate_hz=10.0)
@@ -132,12 +132,12 @@ def test_its_curve_follows_from_its_structure_function(symbol: str, text: str) -
         ).avar
         for _ in range(60)
     ]
-    # The slowest point has some five independent values a record; 60 records give 12 %.
+    # The slowest point has about five independent values per record, so 60 records give 12 %.
     npt.assert_allclose(np.mean(found, axis=0), expected, rtol=0.4 if symbol == "SGM" else 0.05)
 
 
-def test_the_sinusoid_has_the_allan_variance_that_the_books_give() -> None:
-    """A² sin⁴(pi f m) / (m sin(pi f))², f in cycles a sample."""
+def test_the_sinusoid_has_its_published_allan_variance() -> None:
+    """A² sin⁴(pi f m) / (m sin(pi f))², f in cycles per sample."""
     m = np.array([1.0, 5.0, 33.0])
     found = NoiseModel.parse("S(amplitude=2.0, period=4.0)").avar(m, rate_hz=10.0)
     npt.assert_allclose(found, 4 * np.sin(np.pi * m / 40) ** 4 / (m * np.sin(np.pi / 40)) ** 2, rtol=1e-9)
@@ -145,34 +145,33 @@ def test_the_sinusoid_has_the_allan_variance_that_the_books_give() -> None:
 
 @pytest.mark.parametrize("symbol", NEW)
 @pytest.mark.parametrize("method", METHODS)
-def test_each_method_refuses_it_by_name(symbol: str, method: str) -> None:
-    """In one sentence that says what to do; nothing else is fitted in its place."""
+def test_each_method_rejects_an_unsupported_term(symbol: str, method: str) -> None:
+    """The error contains advice, and no other model is fitted instead."""
     series = AxisSeries.from_samples(np.random.default_rng(1).normal(size=4096), rate_hz=100.0)
     with pytest.raises(ValueError, match=f"^method '{method}' can't fit {symbol} \\(.*; leave {symbol} out"):
         imucal.fit(series, model=f"N + {symbol}", method=method)
 
 
-def test_auto_does_not_try_it() -> None:
-    """What no method can fit is no candidate."""
+def test_auto_does_not_try_an_unsupported_term() -> None:
     series = AxisSeries.from_samples(np.random.default_rng(2).normal(size=4096), rate_hz=100.0)
     for method in METHODS:
         assert str(imucal.fit(series, method=method).model) == "N"
 
 
-def test_the_command_line_makes_and_refuses_it(tmp_path: Path) -> None:
-    """`simulate` writes a log of it; `fit` ends as for any wrong option."""
+def test_the_command_line_simulates_and_rejects_an_unsupported_term(tmp_path: Path) -> None:
+    """`simulate` writes its log; `fit` exits as for any invalid option."""
     log = tmp_path / "cycle.csv"
-    made = CliRunner().invoke(
+    simulated = CliRunner().invoke(
         command, ["simulate", f"N=1e-3 + {NEW['S']}", "--duration", "20s", "-o", str(log)]
     )
-    assert made.exit_code == 0, made.output
-    refused = CliRunner().invoke(command, ["fit", str(log), "--model", "N + S", "--no-report"])
-    assert refused.exit_code == 2, refused.output
-    assert "method 'mle' can't fit S (sinusoid)" in " ".join(refused.output.split())
+    assert simulated.exit_code == 0, simulated.output
+    rejected = CliRunner().invoke(command, ["fit", str(log), "--model", "N + S", "--no-report"])
+    assert rejected.exit_code == 2, rejected.output
+    assert "method 'mle' can't fit S (sinusoid)" in " ".join(rejected.output.split())
 
 
-def test_planning_predicts_the_precision() -> None:
-    """By its psd: four times the record, half the error; a line without density is told by none."""
+def test_planning_predicts_the_precision_of_a_new_term() -> None:
+    """Four times the record halves the error; a term without density is never detected."""
     model = NoiseModel.parse(f"N=0.1 + {NEW['SGM']}")
     short, long = (relative_deviations(model, rate_hz=10.0, duration_s=s) for s in (2e3, 8e3))
     for name in ("SGM.sigma", "SGM.T"):
@@ -184,8 +183,8 @@ def test_planning_predicts_the_precision() -> None:
     assert np.isfinite(lost["N"])
 
 
-def test_it_is_separated_from_other_noise() -> None:
-    """The bias is 95 % of the time within 1.96 standard errors; a line without density is rejected."""
+def test_a_new_term_is_separated_from_other_noise() -> None:
+    """95 % of the biases are within 1.96 standard errors; a term without density is rejected."""
     model, rng = NoiseModel.parse("N=0.01 + SGM(sigma=0.3, T=0.5)"), np.random.default_rng(9)
     inside = []
     for _ in range(20):
@@ -200,8 +199,7 @@ def test_it_is_separated_from_other_noise() -> None:
         imucal.decompose(series, line)
 
 
-def test_units_page_and_pictures_take_it_from_the_class() -> None:
-    """A limit's units, the glossary's row, a label."""
+def test_units_page_and_pictures_use_the_class() -> None:
     assert quantity_units("S", Sensor.GYROSCOPE)["deg/h"] == pytest.approx(np.pi / 180 / 3600)
     page = str(glossary_section())
     assert "a cycle of the surroundings" in page
@@ -212,10 +210,10 @@ def test_units_page_and_pictures_take_it_from_the_class() -> None:
     ).startswith("S 2.06")
 
 
-def test_an_incomplete_term_is_reported_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those added here stand in no docs and no schema; one without units is told so as well."""
-    said = missing("S")
-    assert any("README.md has no row for S" in sentence for sentence in said), said
-    assert any("report-2.schema.json does not list S" in sentence for sentence in said), said
+def test_an_incomplete_term_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The new terms are neither in the docs nor in the schema; missing units are reported too."""
+    sentences = missing("S")
+    assert any("README.md has no row for S" in sentence for sentence in sentences), sentences
+    assert any("report-2.schema.json does not list S" in sentence for sentence in sentences), sentences
     monkeypatch.delattr(Sinusoid, "units")
     assert any(sentence.startswith("Sinusoid lacks `units`") for sentence in missing("S"))

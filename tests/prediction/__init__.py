@@ -1,1 +1,1 @@
-"""Tests of what a model predicts of a filter's errors."""
+"""Tests of the predicted errors of filters."""

@@ -1,4 +1,4 @@
-"""The filter of the consistency benchmark: its error is what a filter that runs step by step makes."""
+"""Tests of the filter in the consistency benchmark, compared with a filter that runs step by step."""
 
 import re
 from pathlib import Path
@@ -17,7 +17,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "results" / "consistency.md"
 def run_filter(
     pair: tuple[float, float], increments: FloatArray, angles: FloatArray, aiding: Aiding
 ) -> tuple[FloatArray, float]:
-    """Return the errors of a Kalman filter, shape (r,), and the variance that it states, in matrices.
+    """Return the errors of a Kalman filter, shape (r,), and its predicted variance.
 
     `increments` has shape (r, updates + coast) and `angles` (r, updates + 1); the true angle is 0.
     """
@@ -37,12 +37,12 @@ def run_filter(
 
 
 @pytest.mark.parametrize(("text", "coast"), [("N=1e-3 + B=6e-4", 60), ("N=1e-3 + K=1e-4", 10)])
-def test_a_filter_that_runs_has_this_nees(text: str, coast: int) -> None:
-    """4000 drawn coasts within 5 %: 2.2 standard errors of a variance."""
+def test_the_nees_agrees_with_a_running_filter(text: str, coast: int) -> None:
+    """The tolerance of 5 % is 2.2 standard errors of the variance of 4000 coasts."""
     model, pair, aiding, rate, runs = NoiseModel.parse(text), (1.1e-3, 6e-5), Aiding(2e-3, 40), 2, 4000
     rng = np.random.default_rng(4301)
     seconds = aiding.updates + coast
-    # Parts of one long draw, so that each part begins with a bias of its own.
+    # Each part of one long draw begins with a different bias.
     drawn = model.simulate(runs * seconds * rate, rate_hz=rate, rng=rng)
     increments = drawn.reshape(runs, seconds, rate).mean(axis=2)
     angles = aiding.sd * rng.standard_normal((runs, aiding.updates + 1))
@@ -51,16 +51,16 @@ def test_a_filter_that_runs_has_this_nees(text: str, coast: int) -> None:
     assert np.mean(error**2) / stated == pytest.approx(exact[0, 0], rel=0.05)
 
 
-def test_a_filter_that_knows_its_noise_is_right() -> None:
-    """White noise and a walk are what the filter believes in: NEES 1 at any time, for any aiding."""
+def test_a_filter_with_the_true_model_has_a_nees_of_one() -> None:
+    """The model is white noise plus a random walk, at any time and for any aiding."""
     model, pair = NoiseModel.parse("N=1e-3 + K=5e-5"), np.array([[1e-3, 5e-5]])
     for aiding in (Aiding(), Aiding(1e-1, 200)):
-        # A walk of samples is one of the filter's up to the rate: 1 in (20 s)².
+        # The sampled random walk differs from the filter's by 1 in (20 s)².
         np.testing.assert_allclose(nees(pair, model, rate_hz=20.0, aiding=aiding), 1.0, rtol=1e-3)
 
 
-def test_ten_times_the_noise_is_a_hundredth_of_the_nees() -> None:
-    """Where it is only the filter's belief that grows, and the angle's noise with it."""
+def test_the_nees_does_not_depend_on_the_scale_of_all_noise() -> None:
+    """The filter's numbers, the noise and the noise of the angle are multiplied by ten."""
     model, pair = NoiseModel.parse("N=1e-3 + B=3e-4"), np.array([[1.2e-3, 4e-5]])
     tenfold = NoiseModel.parse("N=1e-2 + B=3e-3")
     one = nees(pair, model, rate_hz=10.0, aiding=Aiding(2e-3, 100))
@@ -69,8 +69,8 @@ def test_ten_times_the_noise_is_a_hundredth_of_the_nees() -> None:
     )
 
 
-def test_a_truth_that_is_covered_is_never_underestimated() -> None:
-    """The guarantee, for angles better and worse than the gyroscope."""
+def test_covering_numbers_never_underestimate_the_error() -> None:
+    """The angle may be better or worse than the gyroscope."""
     text = "N=1e-3 + B=1e-3 + GM(sigma=1e-3, T=30)"
     pair = np.array([covered(known_fit(text))])
     for sd in (1e-4, 1e-1):
@@ -78,19 +78,19 @@ def test_a_truth_that_is_covered_is_never_underestimated() -> None:
         assert found.max() < 1.001
 
 
-def test_records_are_checked_as_filters_run() -> None:
-    """On drawn samples of what the filter believes in, both observed ratios are 1."""
+def test_observed_ratios_of_the_true_model_are_one() -> None:
+    """The samples are drawn from the filter's own model."""
     import imucal
 
     model = NoiseModel.parse("N=1e-3 + K=2e-5")
     samples = model.simulate(400_000, rate_hz=4.0, rng=np.random.default_rng(4302))
     series = imucal.AxisSeries.from_samples(samples, rate_hz=4.0, sensor="gyroscope", axis="x")
-    # 830 independent minutes in pairs: 5 % standard error.
+    # 830 independent minutes in pairs have a standard error of 5 %.
     assert observed((1e-3, 2e-5), series) == pytest.approx((1.0, 1.0), abs=0.15)
 
 
 def test_the_page_has_a_row_for_every_rule() -> None:
-    """In the three tables of single axes, and the command that prints them."""
+    """The rows are in three tables of single axes, and the page contains the command."""
     page = PAGE.read_text(encoding="utf-8").replace("**", "")
     for rule in RULES:
         assert len(re.findall(rf"^\| {re.escape(rule)} \|", page, re.MULTILINE)) == 3

@@ -1,4 +1,4 @@
-"""How far dead reckoning drifts: closed forms, laws, who makes it, what was seen, and limits that cover."""
+"""Tests of the drift of dead reckoning: closed forms, sums, the worst axis, bounds and coverage."""
 
 import math
 from dataclasses import replace
@@ -49,7 +49,9 @@ def white(sensor: Sensor, integrals: int, rest_s: float) -> np.ndarray:
     ],
 )
 @pytest.mark.parametrize("rest_s", [60.0, 6000.0])
-def test_white_noise_in_closed_form(sensor: Sensor, name: str, integrals: int, rest_s: float) -> None:
+def test_the_drift_of_white_noise_has_a_closed_form(
+    sensor: Sensor, name: str, integrals: int, rest_s: float
+) -> None:
     """After a long rest an angle grows as √t, a velocity through tilt as √(t³/3), a position as √(t⁵/20)."""
     fit = axis_report(sensor, "x", "N=2e-3").fit
     found = imucal.drift(fit, T.tolist(), rest_s=rest_s)
@@ -57,8 +59,8 @@ def test_white_noise_in_closed_form(sensor: Sensor, name: str, integrals: int, r
     assert {(point.term, point.share) for point in points(found, name)} == {("N", 1.0)}
 
 
-def test_all_of_it_scales_with_the_noise() -> None:
-    """Thrice the coefficients, thrice the values and limits; the terms have the shares that they had."""
+def test_the_drift_scales_with_the_noise() -> None:
+    """Three times the coefficients give three times the values and limits, with equal shares."""
     one, three = (
         imucal.drift(axis_report(ACCEL, "x", f"N={k}e-3 + B={2 * k}e-4", bounds={"K": k * 1e-6}).fit)
         for k in (1, 3)
@@ -69,8 +71,8 @@ def test_all_of_it_scales_with_the_noise() -> None:
         np.testing.assert_allclose(values(three, name, "share"), values(one, name, "share"))
 
 
-def test_two_parts_add_up_as_squares() -> None:
-    """Values exactly; limits are as far from them as the root of the squares of both ways."""
+def test_two_parts_add_in_quadrature() -> None:
+    """Values are exact; distances to the limits add in quadrature too."""
     found = imucal.drift(consumer_report())
     for kind in ("velocity", "position"):
         parts = [f"{kind} from the accelerometer", f"{kind} through tilt"]
@@ -88,7 +90,7 @@ def test_two_parts_add_up_as_squares() -> None:
 
 
 def test_gravity_determines_tilt_but_not_heading() -> None:
-    """By the accelerometer's means, if one axis lies along g and they are g together; else it is an angle."""
+    """One axis of the accelerometer must be along g, with g in total; otherwise there is only an angle."""
     report = consumer_report()
     assert imucal.drift(report).vertical == "z"
     assert {point.axis for point in points(imucal.drift(report), "heading")} == {"gyro_z"}
@@ -108,7 +110,7 @@ def test_gravity_determines_tilt_but_not_heading() -> None:
 
 
 def test_the_worst_axis_may_change_with_time() -> None:
-    """At each time the one with the largest value; each by itself where that is asked."""
+    """At each time it is the axis with the largest value; `each_axis` returns all axes."""
     axes = axis_report(GYRO, "x", "N=2e-3"), axis_report(GYRO, "y", "N=1e-3 + K=1e-4")
     report = replace(small_report(), axes=axes)
     assert values(imucal.drift(report), "angle", "axis") == ["gyro_x", "gyro_x", "gyro_y", "gyro_y"]
@@ -117,23 +119,23 @@ def test_the_worst_axis_may_change_with_time() -> None:
 
 
 @pytest.mark.parametrize("symbol", ["K", "R"])
-def test_a_bound_counts_in_the_upper_limit_alone(symbol: str) -> None:
-    """The value and the lower limit are those of the terms that were seen."""
-    seen = axis_report(GYRO, "x", "N=1e-3").fit
-    found, without = (
+def test_a_bound_only_affects_the_upper_limit(symbol: str) -> None:
+    """The value and the lower limit depend only on the estimated terms."""
+    observed = axis_report(GYRO, "x", "N=1e-3").fit
+    found, unbounded = (
         imucal.drift(axis_report(GYRO, "x", "N=1e-3", bounds=bounds).fit) for bounds in ({symbol: 1e-3}, {})
     )
     for what in ("value", "low"):
-        assert values(found, "angle", what) == values(without, "angle", what)
-    assert np.all(np.array(values(found, "angle", "high")) > values(without, "angle", "high"))
-    unseen = (replace(seen["N"], status="bounded", value=None, low=0.0),)
-    only = imucal.drift(replace(seen, model=NoiseModel(terms=()), estimates=unseen))
+        assert values(found, "angle", what) == values(unbounded, "angle", what)
+    assert np.all(np.array(values(found, "angle", "high")) > values(unbounded, "angle", "high"))
+    unseen = (replace(observed["N"], status="bounded", value=None, low=0.0),)
+    only = imucal.drift(replace(observed, model=NoiseModel(terms=()), estimates=unseen))
     assert {(p.value, p.low, p.term, p.share) for p in points(only, "angle")} == {(None, 0.0, "", 0.0)}
     assert np.all(np.array(values(only, "angle", "high")) > 0)
 
 
-def test_a_term_of_the_model_that_is_only_bounded_may_lead() -> None:
-    """A model that holds K drifts by it, also where its interval reaches zero and a table prints a bound."""
+def test_a_bounded_term_of_the_model_may_dominate() -> None:
+    """A model with K drifts by K, even if its interval includes zero and a table prints a bound."""
     fit = axis_report(GYRO, "x", "N=1e-3 + K=1e-3").fit
     bounded = replace(fit["K"], status="bounded", value=None, low=0.0)
     doubtful = replace(fit, estimates=(fit["N"], bounded))
@@ -141,18 +143,18 @@ def test_a_term_of_the_model_that_is_only_bounded_may_lead() -> None:
     assert values(imucal.drift(doubtful), "angle", "term")[-1] == "K"
 
 
-def test_what_no_one_knows_has_no_limit() -> None:
-    """Four samples bound nothing: the upper limit is infinite, and no number is made up."""
+def test_an_unknown_drift_has_an_infinite_limit() -> None:
+    """Four samples bound no term."""
     found = imucal.drift(shortest_report(4))
     for one in found.quantities:
         assert {(point.value, point.low, point.high) for point in one.points} == {(None, 0.0, math.inf)}
 
 
-def test_a_time_is_seen_if_the_record_holds_five_of_it() -> None:
-    """Rest included; a model that no record was fitted to has seen nothing, nor is it extrapolated."""
+def test_a_time_is_observed_if_the_record_is_five_times_as_long() -> None:
+    """The rest counts; a model without a record has neither observed nor extrapolated times."""
     fit = axis_report(GYRO, "x", "N=1e-3", rate_hz=10.0, n=10 * 5 * (60 + 40)).fit
-    seen = imucal.drift(fit, [1.0, 40.0, 41.0]).quantities[0].points
-    assert [point.seen for point in seen] == [True, True, False]
+    observed = imucal.drift(fit, [1.0, 40.0, 41.0]).quantities[0].points
+    assert [point.seen for point in observed] == [True, True, False]
     given = replace(fit, curve=replace(fit.curve, edf=np.full(fit.curve.tau.size, np.nan)))
     assert {point.seen for point in imucal.drift(given).quantities[0].points} == {None}
 
@@ -160,26 +162,26 @@ def test_a_time_is_seen_if_the_record_holds_five_of_it() -> None:
 @pytest.mark.parametrize(
     ("times", "rest_s"), [([0.0], 60.0), ([1e-3], 60.0), ([1.0], 0.0), ([math.inf], 60.0)]
 )
-def test_times_that_no_samples_have_are_refused(times: list[float], rest_s: float) -> None:
-    """Less than a sample, or no end."""
+def test_invalid_times_are_rejected(times: list[float], rest_s: float) -> None:
+    """They are shorter than a sample or infinite."""
     message = r"rest \S+ s and time \S+ s; expected at least a sample \(0.005 s\) each, and at most"
     with pytest.raises(ValueError, match=message):
         imucal.drift(small_report(), times, rest_s=rest_s)
 
 
-def test_a_fit_of_an_unknown_sensor_is_refused() -> None:
-    """Whether it turns or moves is not known then."""
+def test_a_fit_of_an_unknown_sensor_is_rejected() -> None:
+    """It may be a gyroscope or an accelerometer."""
     with pytest.raises(DataError, match="no axis of a known sensor"):
         imucal.drift(replace(small_report().axes[0].fit, sensor=None))
 
 
 @pytest.mark.slow
-def test_limits_hold_the_truth() -> None:
-    """Of 40 records in 91 to 100 %, three standard errors about 95 %, by the default fit."""
+def test_limits_have_the_nominal_coverage() -> None:
+    """In 40 records the tolerance is three standard errors about 95 %, with the default fit."""
     text = "N=1e-3 + K=2e-5"
     model = axis_report(GYRO, "x", text, rate_hz=10.0).fit
     truth = {one.name: values(imucal.drift(model), one.name) for one in imucal.drift(model).quantities}
     found = [limits(text, 1200.0, (4301, record)) for record in range(40)]
     for name, true in truth.items():
-        held = np.mean([(low[name] <= true) & (true <= high[name]) for low, high in found], axis=0)
-        assert np.all(held >= 0.95 - 3 * math.sqrt(0.95 * 0.05 / 40)), (name, held)
+        covered = np.mean([(low[name] <= true) & (true <= high[name]) for low, high in found], axis=0)
+        assert np.all(covered >= 0.95 - 3 * math.sqrt(0.95 * 0.05 / 40)), (name, covered)

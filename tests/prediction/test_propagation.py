@@ -1,4 +1,4 @@
-"""Variances of integrals: closed forms, drawn coasts, and limits that add up as they should."""
+"""Tests of variances of integrals: closed forms, simulated coasts and limits."""
 
 import math
 from dataclasses import replace
@@ -31,33 +31,33 @@ REST = 60.0
 
 @pytest.fixture(scope="module")
 def fit() -> NoiseFit:
-    """Return a fit of a record with flicker, whose walk is only bounded."""
+    """Return a fit of a record with flicker noise and a bounded random walk."""
     model = NoiseModel.parse("N=1e-3 + B=3e-4")
     samples = model.simulate(20_000, rate_hz=10.0, rng=np.random.default_rng(4101))
     return imucal.fit(imucal.AxisSeries.from_samples(samples, rate_hz=10.0, sensor="gyroscope", axis="x"))
 
 
-def test_white_noise_in_closed_form() -> None:
-    """An angle after t, the bias from a rest of W: N² (t + t²/W)."""
+def test_white_noise_has_a_closed_form() -> None:
+    """An angle after t, with the bias from a rest of W, has the variance N² (t + t²/W)."""
     found = coasting_variance(TERMS["N"].of(2.0), TIMES, rest_s=REST, rate_hz=100.0)
     np.testing.assert_allclose(found, 4 * (TIMES + TIMES**2 / REST), rtol=1e-3)
 
 
-def test_a_walk_in_closed_form() -> None:
-    """K² t² (t + W) / 3: the walk after the rest, and what the mean of the rest lags behind its end."""
+def test_a_random_walk_has_a_closed_form() -> None:
+    """K² t² (t + W) / 3: the walk after the rest, and the lag of the rest's mean behind its end."""
     found = coasting_variance(TERMS["K"].of(2.0), TIMES, rest_s=REST, rate_hz=100.0)
     np.testing.assert_allclose(found, 4 * TIMES**2 * (TIMES + REST) / 3, rtol=1e-3)
 
 
-def test_a_ramp_in_closed_form() -> None:
-    """(R t (t + W) / 2)²: the bias has moved by half of the rest and of the coast."""
+def test_a_ramp_has_a_closed_form() -> None:
+    """(R t (t + W) / 2)²: the bias has changed by half of the rest and of the coast."""
     found = coasting_variance(TERMS["R"].of(2.0), TIMES, rest_s=REST, rate_hz=100.0)
     np.testing.assert_allclose(found, (TIMES * (TIMES + REST)) ** 2, rtol=1e-3)
 
 
 @pytest.mark.parametrize("time", [5.0, 60.0])
 def test_rest_and_coast_of_one_length_are_an_allan_variance(time: float) -> None:
-    """Mean of W, then t = W: the difference of two means, 2 t² AVAR(t), of flicker and Gauss-Markov noise."""
+    """With t = W it is the difference of two means, 2 t² AVAR(t), of flicker and Gauss-Markov noise."""
     m = np.array([time * 100])
     for term in (TERMS["B"].of(1.0), GaussMarkov(sigma=1.0, T=20.0)):
         found = coasting_variance(term, np.array([time]), rest_s=time, rate_hz=100.0)
@@ -65,12 +65,12 @@ def test_rest_and_coast_of_one_length_are_an_allan_variance(time: float) -> None
 
 
 @pytest.mark.parametrize("integrals", first_by_default([TILT, ANGLE, POSITION], 1))
-def test_drawn_coasts_have_this_variance(integrals: int) -> None:
-    """Samples less the mean of the rest, summed up once, twice, three times: within 3 %."""
+def test_simulated_coasts_have_the_predicted_variance(integrals: int) -> None:
+    """Samples minus the mean of the rest are integrated once, twice or three times; they agree to 3 %."""
     model = NoiseModel.parse("N=1e-3 + B=1e-3 + K=1e-4 + GM(sigma=1e-3, T=8)")
     rate, rest, coast, count = 20.0, 200, 400, 6000
     rng = np.random.default_rng([4102, integrals])
-    # Long draws, cut into coasts: the parts of one are not independent, thousands of them are enough so.
+    # Coasts of one long draw are correlated, but thousands of them are sufficient.
     errors = []
     for _ in range(count // 30):
         parts = model.simulate(30 * (rest + coast), rate_hz=rate, rng=rng).reshape(30, -1)
@@ -89,12 +89,12 @@ def test_drawn_coasts_have_this_variance(integrals: int) -> None:
 
 
 def only(symbol: str) -> Quantity:
-    """Return what sees one kind of term: the square of its coefficient."""
+    """Return a quantity that depends on one kind of term: the square of its coefficient."""
     return lambda term: np.array([term.coefficient**2 if term.symbol == symbol else 0.0])
 
 
-def test_limits_of_one_term_are_its_own(fit: NoiseFit) -> None:
-    """A quantity that sees one term alone has that term's interval; a bound adds up to its square."""
+def test_limits_of_one_term_agree_with_its_interval(fit: NoiseFit) -> None:
+    """If a quantity depends on one term, it has the term's interval; a bound adds its square."""
     white = fit["N"]
     assert white.value is not None
     assert modelled(fit, only("N"))[0] == pytest.approx(white.value**2)
@@ -109,8 +109,8 @@ def test_limits_of_one_term_are_its_own(fit: NoiseFit) -> None:
     assert lower_limit(fit, only("K"))[0] == 0
 
 
-def test_a_term_of_the_model_that_is_only_bounded_counts_with_its_value(fit: NoiseFit) -> None:
-    """Its interval reaches zero, but the model is more likely with it; the limits are 0 and the bound."""
+def test_a_bounded_term_of_the_model_contributes_its_value(fit: NoiseFit) -> None:
+    """The model is more likely with the term, although its limits are 0 and the bound."""
     flicker = fit["B"]
     assert flicker.value is not None
     bounded = Estimate.bounded("B", "B", flicker.high)
@@ -123,8 +123,8 @@ def test_a_term_of_the_model_that_is_only_bounded_counts_with_its_value(fit: Noi
     assert modelled(without, only("B"))[0] == 0
 
 
-def test_limits_scale_and_hold_their_value(fit: NoiseFit) -> None:
-    """Lower, value and upper are in order; a quantity in other units has limits in them."""
+def test_limits_scale_and_contain_the_value(fit: NoiseFit) -> None:
+    """A quantity in other units has scaled limits."""
 
     def angle(term: NoiseTerm) -> FloatArray:
         return coasting_variance(term, TIMES, rest_s=REST, rate_hz=fit.rate_hz)
@@ -140,8 +140,8 @@ def test_times_must_be_positive(times: list[float], rest: float) -> None:
         coasting_variance(TERMS["N"].of(1.0), np.array(times), rest_s=rest, rate_hz=100.0)
 
 
-def test_a_walk_and_its_gauss_markov_term_count_once(fit: NoiseFit) -> None:
-    """K that a slow term begins with adds what its limit exceeds the model by, and nothing to the value."""
+def test_a_random_walk_and_its_gauss_markov_term_count_once(fit: NoiseFit) -> None:
+    """A slow term starts as K, so K does not change the value and only adds the excess of its limit."""
     term = GaussMarkov(sigma=1e-3, T=2000.0)
     walk = 1e-3 * math.sqrt(2 / 2000.0)
     terms = [

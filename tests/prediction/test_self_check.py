@@ -1,4 +1,4 @@
-"""Whether one half of a record predicts the other: silent where it does, and a warning where it does not."""
+"""Tests of the self-check: a warning if one half of a record does not predict the other."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from imucal.prediction import half_predictions, self_check
 from imucal.recording import AxisSeries
 
 RATE = 20.0
-#: Halves of 1300 s: as long as the check at 100 s needs.
+#: Halves of 1300 s are as long as the check at 100 s requires.
 N = int(2600 * RATE)
 TRUTH = "N=1e-3 + B=3e-4 + K=3e-5"
 
@@ -27,7 +27,7 @@ def series_of(samples: FloatArray) -> AxisSeries:
 
 
 def test_noise_of_the_fitted_kind_is_predicted() -> None:
-    """Scores are those of a normal deviate: 8 records of 6 scores, a mean square of 1 to within chance."""
+    """Scores are standard normal: the mean square of 6 scores of 8 records is 1 within chance."""
     scores = []
     for seed in range(8):
         series = series_of(noise(TRUTH, seed))
@@ -36,12 +36,12 @@ def test_noise_of_the_fitted_kind_is_predicted() -> None:
         assert [(one.half, one.time_s) for one in found] == [(h, t) for h in (1, 2) for t in (10, 30, 100)]
         scores += [one.score for one in found]
         assert self_check(series, fit) == ()
-    # Three at a time are nearly one: some 16 degrees of freedom.
+    # The three scores of a half are nearly equal, so there are about 16 degrees of freedom.
     assert 0.4 < np.mean(np.square(scores)) < 1.9
 
 
-def test_what_is_observed_is_the_allan_variance_of_the_half() -> None:
-    """To a few percent; and what is predicted at 10 s is near the fit's."""
+def test_the_observed_value_is_the_allan_deviation_of_the_half() -> None:
+    """The prediction at 10 s also agrees with the fit, to 5 %."""
     series = series_of(noise(TRUTH, 21))
     fit = imucal.fit(series, model="N + B + K")
     for one in half_predictions(series, fit):
@@ -54,8 +54,8 @@ def test_what_is_observed_is_the_allan_variance_of_the_half() -> None:
             assert one.predicted == pytest.approx(float(model[0]), rel=0.05)
 
 
-def test_a_half_of_other_noise_is_named() -> None:
-    """Three times the flicker in the second half: both ways, with numbers, and a verdict that says look."""
+def test_a_half_with_different_noise_is_reported() -> None:
+    """The flicker noise is four times as large in the second half; the verdict becomes "look"."""
     samples = noise("N=1e-3 + B=3e-4", 31)
     samples[N // 2 :] = noise("N=1e-3 + B=1.2e-3", 32)[: N - N // 2]
     series = series_of(samples)
@@ -77,8 +77,7 @@ def test_a_half_of_other_noise_is_named() -> None:
     assert "halves that don't predict each other" in report.verdict.sentence
 
 
-def test_scale_and_offset_change_no_score() -> None:
-    """Another unit, another bias."""
+def test_scale_and_offset_do_not_change_the_scores() -> None:
     samples = noise(TRUTH, 41)
     scores = []
     for changed in (samples, 1e3 * samples + 5.0):
@@ -89,15 +88,15 @@ def test_scale_and_offset_change_no_score() -> None:
 
 
 def test_a_short_record_has_no_finding() -> None:
-    """A half must last for twelve times the averaging time."""
+    """A half must be twelve times as long as the averaging time."""
     series = series_of(noise("N=1e-3", 51, n=int(230 * RATE)))
     assert half_predictions(series, imucal.fit(series)) == ()
     longer = series_of(noise("N=1e-3", 51, n=int(250 * RATE)))
     assert {one.time_s for one in half_predictions(longer, imucal.fit(longer))} == {10.0}
 
 
-def test_lost_samples_and_a_ramp_are_no_change() -> None:
-    """A tenth lost at random, five minutes in the middle, and a steady drift that the model has."""
+def test_lost_samples_and_a_ramp_are_not_reported() -> None:
+    """A tenth of the samples and five minutes are missing, and the model contains the drift."""
     rng = np.random.default_rng(61)
     samples = noise("N=1e-3 + B=3e-4", 62) + 3e-6 * np.arange(N) / RATE
     keep = rng.random(N) > 0.1
@@ -109,8 +108,8 @@ def test_lost_samples_and_a_ramp_are_no_change() -> None:
     assert max(abs(one.score) for one in found) < 3
 
 
-def test_a_strong_line_is_left_out() -> None:
-    """The fit leaves it out, and so does what it predicts."""
+def test_a_strong_line_is_excluded() -> None:
+    """The fit and its prediction both exclude it."""
     samples = noise("N=1e-3 + B=3e-4", 71)
     samples += 5e-3 * np.sin(2 * np.pi * 0.5 * np.arange(N) / RATE)
     series = series_of(samples)

@@ -19,7 +19,7 @@ from tests.cli.run import SAMPLE_LOGS, run
 from tests.code_blocks import code_blocks
 from tests.remote.one_axis import one_axis
 from tests.remote.web_server import WebServer
-from tests.test_docs_pages import says, texts
+from tests.test_docs_pages import contains, texts
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "remote-logs.md"
@@ -67,7 +67,7 @@ def messages() -> list[str]:
 def test_the_messages_of_the_page_equal_those_of_the_source() -> None:
     assert len(messages()) >= 12
     sources = [text for text in texts() if len(text) > 12]
-    assert [message for message in messages() if not any(says(message, text) for text in sources)] == []
+    assert [message for message in messages() if not any(contains(message, text) for text in sources)] == []
 
 
 class Changing(list[int]):
@@ -157,6 +157,6 @@ def test_each_message_of_the_page_occurs(
     secret = "?sig=SECRET" if url.startswith("http") else ""
     with pytest.raises(imucal.ReadError) as error:
         imucal.read(url + secret)
-    assert says(message, str(error.value)), str(error.value)
+    assert contains(message, str(error.value)), str(error.value)
     assert error.value.exit_code == 3
     assert "sig=" not in str(error.value)

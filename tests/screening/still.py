@@ -1,4 +1,4 @@
-"""Recordings of known truth: an IMU at rest with noise of many kinds, and faults to put into it."""
+"""Recordings with known truth: an IMU at rest with many kinds of noise, and tools to change them."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -43,7 +43,7 @@ def _low_pass(x: FloatArray, cutoff: float, order: int) -> FloatArray:
     return filtered[200:]
 
 
-#: Noise at rest, deviation about 1 per sample: name -> samples (n,).
+#: Noise at rest with a deviation of about 1 per sample: name -> samples (n,).
 KINDS: dict[str, Callable[[int, np.random.Generator], FloatArray]] = {
     "white": lambda n, rng: rng.standard_normal(n),
     "laplace": lambda n, rng: rng.laplace(size=n),

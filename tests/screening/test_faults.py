@@ -1,4 +1,4 @@
-"""Faults put into a log at rest: each is found, said in full, and nothing else is."""
+"""Tests of faults in a log at rest: each is found and described, without other findings."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,14 +21,14 @@ from tests.screening.still import recording, still
 N = 20_000
 T = np.arange(N) / 100.0
 Tables = tuple[FloatArray, FloatArray]
-#: Name, samples and temperature of an axis -> what of it is no noise. Most tests have the same five axes
-#: beside the one with a fault, and to look at one takes 0.2 s.
+#: Name, samples and temperature of an axis -> its findings. Most tests share five axes
+#: without a fault, and an axis takes 0.2 s.
 SEEN: dict[tuple[object, ...], tuple[Finding, ...]] = {}
 
 
 @pytest.fixture(autouse=True)
-def axes_are_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Look at no axis again that another test had, sample by sample."""
+def axes_are_screened_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Screen each axis once for all tests with equal samples."""
 
     def remembered(series: AxisSeries, temperature: FloatArray | None) -> tuple[Finding, ...]:
         warmth = None if temperature is None else temperature.tobytes()
@@ -45,7 +45,7 @@ def found(gyro: FloatArray, accel: FloatArray, temperature: FloatArray | None = 
 
 
 def at_rest(gyro: FloatArray, accel: FloatArray) -> tuple[Finding, ...]:
-    """Return what is said of the values and of the rest, without what is not noise."""
+    """Return the findings about values and rest, without those of `not_noise`."""
     return screen_values(recording(gyro, accel))
 
 
@@ -210,7 +210,7 @@ def weightless(gyro: FloatArray, accel: FloatArray) -> Tables:
     return gyro, accel
 
 
-#: What was done, the level, code and axis it is found by, and the whole text.
+#: Fault -> level, code, axis and complete text of its finding.
 Fault = Callable[[FloatArray, FloatArray], Tables]
 FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
     (knocked, "warning", "touch", None,
@@ -292,7 +292,7 @@ FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
 def test_a_fault_is_found_and_reported(
     fault: Fault, level: str, code: str, axis: str | None, text: str
 ) -> None:
-    """One fault, one finding, with its figures."""
+    """Each fault has one finding with its figures."""
     look = at_rest if code == "motion" else found
     finding = one(look(*fault(*still(N, 1))))
     assert (finding.level, finding.code, finding.axis) == (level, code, axis)
@@ -304,8 +304,8 @@ def test_a_fault_is_found_and_reported(
     [(knocked, (91.5, 200.0)), (picked_up, (4.5, 200.0)), (put_away, (0.0, 196.5)), (tilted, (0.0, 120.0)),
      (warming, (66.7, 200.0)), (stuck, (9.0, 200.0)), (turned, (92.5, 200.0))],
 )  # fmt: skip
-def test_what_is_left_to_keep_is_suggested(fault: Fault, keep: tuple[float, float]) -> None:
-    """The longest part without the fault, a second clear of it; the log is 200 s long."""
+def test_the_part_without_the_fault_is_suggested(fault: Fault, keep: tuple[float, float]) -> None:
+    """It is the longest part at least a second away from the fault; the log is 200 s long."""
     look = at_rest if fault is put_away else found
     assert one(look(*fault(*still(N, 1)))).keep_s == keep
 
@@ -320,25 +320,24 @@ def test_what_is_left_to_keep_is_suggested(fault: Fault, keep: tuple[float, floa
         (clipped, ("flicker", "random walk")),
         (coarse, ("flicker", "random walk")),
         (humming, ("flicker", "random walk")),
-        # Flicker and random walk of that strength wander as far by themselves.
+        # Flicker noise and random walks of that strength drift equally far.
         (tilted, ("white", "rounded")),
         (warming, ("white", "rounded")),
     ],
 )
-def test_faults_are_found_whatever_the_noise(fault: Fault, kinds: tuple[str, ...], seed: int) -> None:
-    """The code of the fault is there in other noise too; the axes that it has not touched are left out."""
+def test_faults_are_found_in_other_noise(fault: Fault, kinds: tuple[str, ...], seed: int) -> None:
+    """Only the axes with the fault are screened."""
     code = next(row[2] for row in FAULTS if row[0] is fault)
-    # What is taken out as no noise is looked for axis by axis; all else is said of the values.
+    # Disturbances are searched by axis; all other findings are about the values.
     look = screen if code in {"step", "warm-up", "tone"} else screen_values
     for kind in kinds:
-        whole, faulty = (recording(*make(*still(N, 100 + seed, kind))) for make in (as_it_is, fault))
-        pairs = zip(whole.series, faulty.series, strict=True)
+        original, faulty = (recording(*make(*still(N, 100 + seed, kind))) for make in (as_it_is, fault))
+        pairs = zip(original.series, faulty.series, strict=True)
         touched = [after for before, after in pairs if not np.array_equal(before.samples, after.samples)]
         assert code in {f.code for f in look(replace(faulty, series=tuple(touched)))}
 
 
-def test_the_keep_suggestion_cures() -> None:
-    """A log cut to what the finding suggests has no finding any more."""
+def test_the_suggested_part_has_no_finding() -> None:
     log = recording(*picked_up(*still(N, 3)))
     keep = one(screen(log)).keep_s
     assert keep is not None
@@ -347,7 +346,7 @@ def test_the_keep_suggestion_cures() -> None:
 
 
 def test_temperature_dependence_is_found_with_its_slope() -> None:
-    """An axis that follows the temperature, and no other one."""
+    """Only the dependent axis is reported."""
     warmth = 30 + 5 * (1 - np.exp(-T / 60)) + 0.02 * np.random.default_rng(0).normal(size=N)
     gyro, accel = still(N, 1)
     gyro[2] += 5e-4 * (warmth - 30)
@@ -359,16 +358,16 @@ def test_temperature_dependence_is_found_with_its_slope() -> None:
     )
 
 
-def test_a_large_change_of_temperature_is_noted() -> None:
-    """Nothing follows it: a note, no warning."""
+def test_a_large_change_of_temperature_is_reported() -> None:
+    """No axis follows it, so the level is info."""
     warmth = 30 + 5 * (1 - np.exp(-T / 60)) + 0.02 * np.random.default_rng(0).normal(size=N)
     finding = one(found(*still(N, 1), warmth))
     assert (finding.level, finding.code, finding.axis) == ("info", "temperature", None)
     assert finding.text == "The temperature changes by 4.8 degrees C during the log."
 
 
-def test_spikes_are_no_touch() -> None:
-    """Single wild samples are errors of the data; the fit cleans and counts them."""
+def test_spikes_are_not_a_touch() -> None:
+    """Single wild samples are data errors, which the fit replaces and counts."""
     gyro, accel = still(N, 1)
     gyro[0, 5000] += 1.0
     accel[1, 7000:7002] += 5.0
@@ -377,10 +376,10 @@ def test_spikes_are_no_touch() -> None:
 
 @pytest.mark.parametrize(("start", "code"), [(2.0, "motion"), (90.0, "touch")])
 @pytest.mark.parametrize(("factor", "level"), [(5.0, "warning"), (20.0, "error")])
-def test_what_is_louder_than_all_the_noise_is_an_error(
+def test_a_disturbance_above_the_total_noise_is_an_error(
     start: float, code: str, factor: float, level: str
 ) -> None:
-    """2 s of 5 times the noise hold as much power as 48 s of it, of 20 times as 800 s; the log has 200 s."""
+    """2 s of 5 times the noise have the power of 48 s of noise, of 20 times 800 s; the log has 200 s."""
     gyro, accel = still(N, 4)
     shaken = (start <= T) & (start + 2 > T)
     gyro[:, shaken] += (gyro[:, shaken] - gyro[:, shaken].mean(axis=1, keepdims=True)) * (factor - 1)
@@ -389,16 +388,16 @@ def test_what_is_louder_than_all_the_noise_is_an_error(
 
 
 @pytest.mark.parametrize(("rate", "level"), [(0.005, "warning"), (0.5, "error")])
-def test_a_smooth_turn_is_as_loud_as_its_mean(rate: float, level: str) -> None:
-    """A steady rotation has no variance within its windows; noise is 0.0015 rad/s."""
+def test_a_smooth_turn_is_judged_by_its_mean(rate: float, level: str) -> None:
+    """A constant rotation has no variance in a window; the noise is 0.0015 rad/s."""
     gyro, accel = still(N, 4)
     gyro[0, 500:800] += rate
     assert [f.level for f in found(gyro, accel) if f.code == "motion"] == [level]
 
 
 @pytest.mark.parametrize(("rate_hz", "word"), [(0.2, "slow"), (2e5, "fast")])
-def test_a_rate_that_no_imu_has_is_an_error(rate_hz: float, word: str) -> None:
-    """Stamps in ms that were taken for s, and the other way round; once for both sensors."""
+def test_an_impossible_rate_is_an_error(rate_hz: float, word: str) -> None:
+    """Stamps in ms were read as s, or vice versa; both sensors share one finding."""
     found_here = screen(recording(*still(4000, 1), clock=Clock.even(4000, rate_hz)))
     (finding,) = (f for f in found_here if f.code == "absurd-rate")
     assert finding.text == f"The samples come at {rate_hz:.4g} Hz: no IMU is that {word}."
@@ -407,7 +406,7 @@ def test_a_rate_that_no_imu_has_is_an_error(rate_hz: float, word: str) -> None:
 
 @pytest.mark.parametrize("rate_hz", [50e3, 100e3, 150e3])
 def test_a_rate_of_bench_instruments_is_a_warning(rate_hz: float) -> None:
-    """A fibre-optic gyroscope may have it, or a MEMS sensor whose stamps have another unit."""
+    """It may be a fibre-optic gyroscope, or a MEMS sensor with another time unit."""
     found_here = screen(recording(*still(4000, 1), clock=Clock.even(4000, rate_hz)))
     (finding,) = (f for f in found_here if f.code.endswith("-rate"))
     assert (finding.level, finding.code, finding.axis) == ("warning", "fast-rate", None)
@@ -416,14 +415,14 @@ def test_a_rate_of_bench_instruments_is_a_warning(rate_hz: float) -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [0.5, 1.0, 32e3, 40e3])
-def test_rates_that_imus_have_are_none(rate_hz: float) -> None:
-    """From averages of a second to the fastest MEMS sensor."""
+def test_usual_rates_have_no_finding(rate_hz: float) -> None:
+    """They range from averages of a second to the fastest MEMS sensor."""
     codes = {f.code for f in screen(recording(*still(4000, 1), clock=Clock.even(4000, rate_hz)))}
     assert not codes & {"absurd-rate", "fast-rate"}
 
 
 def test_worst_findings_come_first() -> None:
-    """Errors, then warnings, then notes."""
+    """The order is errors, warnings, information."""
     gyro, accel = humming(*still(N, 1))
     accel[0] = 0
     levels = [f.level for f in screen(recording(gyro, accel))]
@@ -431,8 +430,8 @@ def test_worst_findings_come_first() -> None:
     assert levels[0] == "error"
 
 
-def test_a_log_that_never_rests_is_not_cut() -> None:
-    """A knock every few seconds: an error, and no part worth keeping."""
+def test_a_log_without_rest_has_no_suggestion() -> None:
+    """With a knock every few seconds there is an error and no part to keep."""
     gyro, accel = still(N, 1)
     for start in range(100, N, 600):
         accel[:, start : start + 60] += 0.5 * np.sin(np.arange(60))

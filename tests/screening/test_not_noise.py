@@ -1,4 +1,4 @@
-"""Lines, filters and drifts said without a fit: their figures against the truth, and what is none."""
+"""Tests of lines, filters and drifts that are found without a fit."""
 
 import numpy as np
 import pytest
@@ -18,8 +18,8 @@ def axis(samples: np.ndarray[tuple[int], np.dtype[np.float64]]) -> AxisSeries:
 
 
 @pytest.mark.parametrize("amplitude", [0.08, 0.1, 0.5])
-def test_a_tone_is_a_warning_where_it_bends_the_curve(amplitude: float) -> None:
-    """The peak of A^2 sin^4(x)/x^2 over tau, against the white noise there: more than a tenth or less."""
+def test_a_tone_is_a_warning_if_it_bends_the_curve(amplitude: float) -> None:
+    """The peak of A^2 sin^4(x)/x^2 over tau exceeds a tenth of the white noise there."""
     frequency = 10.0
     rng = np.random.default_rng(2)
     samples = rng.standard_normal(N) + amplitude * np.sin(2 * np.pi * frequency * np.arange(N) / RATE)
@@ -32,12 +32,12 @@ def test_a_tone_is_a_warning_where_it_bends_the_curve(amplitude: float) -> None:
     assert found.level == ("warning" if bends else "info")
     assert ("which bends the Allan curve" in found.text) == bends
     assert "Hz, perhaps the swaying of a building or table" in found.text
-    said = float(found.text.split(" Hz")[0].split()[-1])
-    assert said == pytest.approx(frequency, abs=RATE / N)
+    frequency_hz = float(found.text.split(" Hz")[0].split()[-1])
+    assert frequency_hz == pytest.approx(frequency, abs=RATE / N)
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "rounded"])
-def test_noise_is_no_tone(kind: str) -> None:
+def test_noise_is_not_a_tone(kind: str) -> None:
     """Neither slopes, nor filters, nor resonances are lines."""
     for seed in range(3):
         samples = KINDS[kind](N, np.random.default_rng(20 + seed))
@@ -60,45 +60,45 @@ def test_noise_is_no_tone(kind: str) -> None:
         (310.0, 1000.0, "electronics, or a resonance"),
     ],
 )
-def test_likely_causes(frequency: float, rate: float, cause: str) -> None:
-    """Mains also where the sampling folds them; else by the range of the frequency."""
+def test_likely_causes_of_a_tone(frequency: float, rate: float, cause: str) -> None:
+    """Mains may be folded by the sampling; other causes depend on the frequency range."""
     assert likely_cause(frequency, rate_hz=rate, resolution_hz=0.1) == cause
 
 
 @pytest.mark.parametrize("order", [1, 2, 4])
 @pytest.mark.parametrize("cutoff", [0.15, 0.3, 0.5])
-def test_the_corner_of_a_filter(order: int, cutoff: float) -> None:
-    """Half power of a Butterworth filter, to a few percent; a steep one may end the band below it."""
+def test_the_corner_of_a_filter_is_found(order: int, cutoff: float) -> None:
+    """The half-power frequency of a Butterworth filter is right to 5 %; a steep filter may end below."""
     from scipy.signal import butter, sosfilt
 
     samples = sosfilt(butter(order, cutoff, output="sos"), np.random.default_rng(3).standard_normal(4 * N))
     (found,) = (f for f in not_noise(axis(samples)) if f.code == "roll-off")
-    shown = float(found.text.split("ear ")[1].split(" Hz")[0]) / (cutoff * RATE / 2)
-    assert 0.95 < shown < 1.05 if "falls to half" in found.text else 0.3 < shown < 1.05
+    ratio = float(found.text.split("ear ")[1].split(" Hz")[0]) / (cutoff * RATE / 2)
+    assert 0.95 < ratio < 1.05 if "falls to half" in found.text else 0.3 < ratio < 1.05
 
 
 @pytest.mark.parametrize("kind", ["white", "flicker", "random walk", "strong random walk", "quantization"])
 def test_noise_without_a_filter_has_no_corner(kind: str) -> None:
-    """A density that is flat, or falls all the way, is no filter's."""
+    """A flat or steadily falling density is not that of a filter."""
     for seed in range(5):
         found = not_noise(axis(KINDS[kind](N, np.random.default_rng(40 + seed))))
         assert "roll-off" not in {f.code for f in found}
 
 
 def test_too_short_an_axis_has_no_finding() -> None:
-    """Fewer samples than a noise model needs."""
+    """It has fewer samples than a noise model needs."""
     assert not_noise(axis(np.arange(10.0))) == ()
 
 
 def test_density_of_white_noise_is_flat_and_two_sided() -> None:
-    """Unit deviation at 200 Hz is 1/200 per Hz."""
+    """A unit deviation at 200 Hz is 1/200 per Hz."""
     psd = density_at_rest(profile(axis(np.random.default_rng(5).standard_normal(N))))
     assert psd is not None
     assert psd[4:-4].mean() * RATE == pytest.approx(1, abs=0.02)
 
 
 def test_density_avoids_disturbed_windows() -> None:
-    """A stretch with a knock in it is left out."""
+    """A part with a knock is omitted."""
     samples = np.random.default_rng(6).standard_normal(N)
     samples[30_000:30_100] += 1000 * np.sin(np.arange(100))
     psd = density_at_rest(profile(axis(samples)))

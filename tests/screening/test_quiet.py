@@ -1,4 +1,4 @@
-"""Logs at rest: how rarely the screening cries wolf."""
+"""Tests of the false alarm rate of the screening for logs at rest."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,63 +16,63 @@ from tests.slow_cases import first_by_default
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_noise_of_any_kind_is_no_fault(kind: str) -> None:
-    """A log of six axes: none warned of; of fourteen, one in seven may have an alarm by chance at most.
+def test_noise_of_any_kind_has_no_warning(kind: str) -> None:
+    """By chance, at most one in seven of these fourteen logs of six axes may have a warning.
 
-    tests/benchmarks/screening.py measures the rate on many logs: below 1 % of logs for each check
-    over all kinds; of these logs none has one.
+    tests/benchmarks/screening.py measures the rate on many logs: below 1 % of logs for each check over all
+    kinds; none of these logs has one.
     """
     found = screen(recording(*still(20_000, 1000, kind), temperature=unrelated_temperature(20_000, 1000)))
     assert [finding.code for finding in found if finding.level != "info"] == []
 
 
-def test_clean_white_noise_has_no_finding_at_all() -> None:
-    """Not even a note: nothing is wrong and nothing is coloured."""
+def test_clean_white_noise_has_no_finding() -> None:
+    """There is not even a finding of level info."""
     assert screen(recording(*still(30_000, 7))) == ()
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 1000.0])
-def test_other_rates_are_as_quiet(rate_hz: float) -> None:
-    """Slow and quick sensors have other windows; none of them is disturbed."""
+def test_other_rates_have_no_finding(rate_hz: float) -> None:
+    """Slow and fast sensors have other windows."""
     gyro, accel = still(30_000, 8)
     found = screen(recording(gyro, accel, clock=Clock.even(30_000, rate_hz)))
     assert found == ()
 
 
-def test_gaps_are_no_fault() -> None:
-    """Bursts and single samples missing, a few NaN left in: nothing to warn of."""
+def test_gaps_have_no_warning() -> None:
+    """Bursts and single samples are missing, and a few are NaN."""
     rng = np.random.default_rng(9)
-    whole = recording(*still(40_000, 9))
+    complete = recording(*still(40_000, 9))
     keep = rng.random(40_000) > 0.01
     keep[10_000:14_000] = False
-    series = tuple(s.keeping(keep) for s in whole.series)
+    series = tuple(s.keeping(keep) for s in complete.series)
     samples = series[0].samples.copy()
     samples[::2000] = np.nan
     series = (replace(series[0], samples=samples), *series[1:])
-    assert [f for f in screen(replace(whole, series=series)) if f.level != "info"] == []
+    assert [f for f in screen(replace(complete, series=series)) if f.level != "info"] == []
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 15, 16, 17, 40, 200, 1000])
-def test_short_logs_neither_crash_nor_alarm(n: int) -> None:
-    """What little there is raises no warning; nothing at all is said to be no data."""
+def test_short_logs_have_no_warning(n: int) -> None:
+    """A log without samples is reported as no data."""
     found = screen(recording(*still(n, 10)))
     assert {f.code for f in found} == (set() if n else {"no-data"})
 
 
 def test_an_empty_recording_has_no_finding() -> None:
-    """No axes, nothing to say: the reader has refused it, or the caller has left them out."""
+    """Readers reject files without axes, so the caller has removed them."""
     assert screen(Recording(source=Source(path="empty", format="csv"), series=())) == ()
 
 
-def test_one_axis_alone_is_screened() -> None:
-    """Checks that need three axes pass over it."""
+def test_a_single_axis_is_screened() -> None:
+    """Checks that need three axes are skipped."""
     series = AxisSeries.from_samples(np.random.default_rng(11).normal(size=20_000), rate_hz=100.0)
     found = screen(Recording(source=Source(path="one", format="array"), series=(series,)))
-    # Noise of deviation 1 rad/s is no gyroscope's.
+    # No gyroscope has noise with a deviation of 1 rad/s.
     assert [f.code for f in found] == ["unit-suspect"]
 
 
-#: Samples that no sensor gives, but damaged logs hold.
+#: Samples that no sensor produces but damaged logs contain.
 WILD: list[Callable[[int, np.random.Generator], FloatArray]] = [
     lambda n, rng: rng.normal(size=n) * 10.0 ** rng.integers(-300, 300),
     lambda n, _: np.zeros(n),
@@ -92,13 +92,13 @@ WILD: list[Callable[[int, np.random.Generator], FloatArray]] = [
 
 @pytest.mark.parametrize("seed", first_by_default(range(13), 5))
 def test_damaged_data_neither_crash_nor_print_nan(seed: int) -> None:
-    """Six of the wild axes, each kind in six of the tests, give findings whose figures are numbers.
+    """Six wild axes have findings with finite figures; each kind is in six of the tests.
 
     Warnings are errors here.
     """
     rng = np.random.default_rng(seed)
     n = int(rng.integers(0, 2000))
-    # These differ by every number up to twelve: each two kinds stand beside one another in some test.
+    # These differ by all numbers up to twelve, so any two kinds occur together in some test.
     table = np.stack([WILD[(seed + step) % len(WILD)](n, rng) for step in (0, 1, 3, 4, 9, 11)])
     for finding in screen(recording(table[:3], table[3:])):
         assert not {"nan", "inf", "-inf"} & set(finding.text.split())

@@ -1,4 +1,4 @@
-"""Real recordings: what their authors say of them, the screening says too."""
+"""Tests of real recordings: the screening agrees with the descriptions of their authors."""
 
 import numpy as np
 import pytest
@@ -27,35 +27,35 @@ def mpu6050(name: str) -> tuple[Finding, ...]:
 
 
 @pytest.mark.parametrize("name", ["example_data_tinit_calc.csv", "imu_static_test.csv"])
-def test_mpu6050_at_rest(name: str) -> None:
-    """Static recordings of a cheap IMU: nothing to warn of."""
+def test_mpu6050_at_rest_has_no_warning(name: str) -> None:
+    """The recordings are static, from a cheap IMU."""
     assert serious(mpu6050(name)) == []
 
 
 @pytest.mark.parametrize("name", ["imu_90_x_rot.csv", "example_data_calibration.csv"])
-def test_mpu6050_turned(name: str) -> None:
-    """A rotation by 90 degrees, and a calibration in many poses."""
+def test_mpu6050_that_was_turned_is_not_at_rest(name: str) -> None:
+    """The logs are a rotation by 90 degrees and a calibration in many poses."""
     found = [f for f in mpu6050(name) if f.code == "motion"]
     assert [f.level for f in found] == ["error"]
     assert "turned" in found[0].text
 
 
-def test_mpu6050_as_counts() -> None:
-    """Raw counts taken for SI: both sensors' units are suspected."""
+def test_mpu6050_as_counts_has_suspicious_units() -> None:
+    """Raw counts are read as SI, for both sensors."""
     counts = np.loadtxt(real_data("real", "mpu6050", "imu_static_test.csv"), delimiter=",", skiprows=5).T
     found = findings(counts[3:6], counts[:3], 100.0)
     assert sorted(f.axis or "" for f in found if f.code == "unit-suspect") == ["accel", "gyro"]
 
 
-def test_broad_at_rest() -> None:
-    """The longest rest of a benchmark recording: nothing to warn of."""
+def test_broad_at_rest_has_no_warning() -> None:
+    """It is the longest rest of a benchmark recording."""
     path = real_data("real", "broad_rest", "03_undisturbed_slow_rotation_C_rest.csv")
     table = np.loadtxt(path, delimiter=",", skiprows=1).T
     assert serious(findings(table[1:4], table[4:7], 285.714)) == []
 
 
-def test_stampfly_bump() -> None:
-    """One bump in the first seconds, and a log that repeats its samples; the other log has one jump."""
+def test_stampfly_has_a_bump_and_held_samples() -> None:
+    """The bump is in the first seconds of one log; the other log has one jump."""
     table = np.loadtxt(
         real_data("real", "stampfly", "stampfly_fft_20260113T222234.csv"), delimiter=",", skiprows=1
     ).T
@@ -69,13 +69,13 @@ def test_stampfly_bump() -> None:
         real_data("real", "stampfly", "stampfly_fft_20260114T115628.csv"), delimiter=",", skiprows=1
     ).T
     found = findings(table[1:4], table[4:7], 399.9)
-    # A jump of the level, which the fit takes out.
+    # A jump of the level, which the fit removes.
     assert [(f.code, f.axis) for f in found if f.level != "info"] == [("step", "gyro_x")]
     assert {f.code for f in found if f.level == "info"} == {"roll-off", "tone"}
 
 
 def test_a_hand_is_not_at_rest() -> None:
-    """A telephone held steady in a hand."""
+    """A telephone was held steadily in a hand."""
     table = np.genfromtxt(real_data("real", "iphone_handheld", "25.csv"), delimiter=",", names=True)
     gyro = np.stack([table[f"gyroRotation{axis}"] for axis in "XYZ"])
     accel = np.stack([table[f"accelerometerAcceleration{axis}"] * G0 for axis in "XYZ"])

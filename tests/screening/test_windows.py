@@ -1,4 +1,4 @@
-"""Windows: their statistics against the definition, and where gaps put them."""
+"""Tests of windows: statistics by definition, and positions with gaps."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ def axis(samples: np.ndarray[tuple[int], np.dtype[np.float64]], clock: Clock | N
 
 
 def test_statistics_follow_the_definition() -> None:
-    """Each column is what its name says of the window's samples."""
+    """Each column is computed from the samples of the window."""
     samples = np.random.default_rng(1).normal(size=4037)
     windows = cut(axis(samples))
     assert windows.width == 50
@@ -29,24 +29,24 @@ def test_statistics_follow_the_definition() -> None:
         assert (windows.low[i], windows.high[i]) == (part.min(), part.max())
 
 
-def test_no_sample_is_left_out() -> None:
-    """The last window is set to the end, over a part of the one before."""
+def test_windows_contain_every_sample() -> None:
+    """The last window ends with the record and overlaps the one before."""
     windows = cut(axis(np.arange(3230.0)))
     assert windows.start[-1] + windows.width == 3230
     assert np.all(np.diff(windows.start) <= windows.width)
     assert windows.repeats.sum() == 0
 
 
-def test_offset_costs_no_digits() -> None:
-    """A mean of 1e6 deviations changes the variance by the rounding of the samples alone."""
+def test_an_offset_does_not_reduce_the_precision() -> None:
+    """With a mean of 1e6 deviations, only the rounding of the samples changes the variance."""
     samples = np.random.default_rng(2).normal(size=4000)
     near, far = cut(axis(samples)), cut(axis(samples + 2.0**20))
-    # Samples near 1e6 are rounded to 1.2e-10, in a variance near 1.
+    # Samples near 1e6 are rounded to 1.2e-10, with a variance near 1.
     npt.assert_allclose(far.variance, near.variance, atol=1e-8)
 
 
-def test_windows_keep_clear_of_long_gaps_and_ignore_short_ones() -> None:
-    """A window may hold a gap of a quarter of its length, and no longer one."""
+def test_windows_avoid_long_gaps_and_ignore_short_ones() -> None:
+    """A window may contain a gap of up to a quarter of its length."""
     clock = Clock(
         source="test",
         rate_hz=100.0,
@@ -64,8 +64,8 @@ def test_windows_keep_clear_of_long_gaps_and_ignore_short_ones() -> None:
     npt.assert_allclose(windows.time_s[windows.start == 1050], 10.55)
 
 
-def test_many_short_segments_are_quick_and_complete() -> None:
-    """One sample in five missing leaves windows over all of the log."""
+def test_many_short_segments_have_windows_everywhere() -> None:
+    """One sample in five is missing."""
     keep = np.arange(50_000) % 5 != 0
     series = axis(np.random.default_rng(3).normal(size=50_000)).keeping(keep)
     windows = cut(series)
@@ -74,12 +74,12 @@ def test_many_short_segments_are_quick_and_complete() -> None:
 
 @pytest.mark.parametrize("n", [0, 1, 15, 16, 17])
 def test_short_axes_have_few_windows(n: int) -> None:
-    """Sixteen samples make a window; fewer make none."""
+    """Sixteen samples are one window."""
     assert cut(axis(np.arange(float(n)))).size == max(0, n - 15)
 
 
-def test_a_mapped_file_gives_the_same(tmp_path: Path) -> None:
-    """Samples in a mapped file are read in blocks and give the same windows."""
+def test_a_mapped_file_has_the_same_windows(tmp_path: Path) -> None:
+    """Mapped samples are read in blocks."""
     samples = np.random.default_rng(4).normal(size=300_000)
     path = tmp_path / "samples.f64"
     samples.tofile(path)
@@ -87,8 +87,8 @@ def test_a_mapped_file_gives_the_same(tmp_path: Path) -> None:
     npt.assert_array_equal(cut(axis(mapped)).variance, cut(axis(samples)).variance)
 
 
-def test_the_quietest_stretch_is_in_a_row() -> None:
-    """Single quiet windows count less than a stretch; constant ones do not count."""
+def test_the_quietest_part_is_contiguous() -> None:
+    """Single quiet windows do not count, nor do constant ones."""
     variance = np.array([9.0, 1.0, 9.0, 1.0, 9.0, 2.0, 0.0, 2.0, 2.0, 9.0])
     assert quietest(variance, 3) == pytest.approx(2.0)
     assert quietest(variance, 20) == pytest.approx(2.0)

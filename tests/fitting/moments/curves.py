@@ -1,4 +1,4 @@
-"""Allan curves by the definition, for the tests of fits of curves."""
+"""Allan curves computed by the definition, for the tests of curve fits."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The covariance of Allan variances: against all lags, against closed forms, against simulation."""
+"""Tests of the covariance of Allan variances: against all lags, closed forms and simulation."""
 
 from decimal import Decimal, localcontext
 from itertools import product
@@ -31,7 +31,7 @@ def _correlation(covariance: FloatArray) -> FloatArray:
 
 
 def test_the_grid_of_lags_represents_all_lags(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The sum on graded lags is that over every lag, to 1e-3 of the standard deviations."""
+    """The sum on graded lags agrees with the sum over all lags to 1e-3 of the standard deviations."""
     m = 2 ** np.arange(11)
     quick = avar_covariance(m, 5_000, TERMS, overlapping=True)
     monkeypatch.setattr(module, "_ALL_LAGS", 10**9)
@@ -55,7 +55,7 @@ def test_white_noise_at_the_shortest_time_has_a_closed_form() -> None:
 
 
 def test_adjacent_windows_of_white_noise_have_a_closed_form() -> None:
-    """Standard Allan variances of white noise at any m are those of n/m samples at m = 1."""
+    """Standard Allan variances of white noise at m behave like n/m samples at m = 1."""
     m, n = 8, 800
     covariance = avar_covariance(np.array([m]), n, [N], overlapping=False).at(np.ones(1))
     terms = n // m - 1
@@ -78,7 +78,7 @@ def test_adjacent_windows_of_white_noise_have_a_closed_form() -> None:
 def test_simulated_curves_scatter_as_predicted(
     text: str, terms: list[NoiseTerm], variances: list[float], *, overlapping: bool
 ) -> None:
-    """Over 800 records variances agree to 5 standard errors (25 %), correlations to 0.12."""
+    """Over 800 records, variances agree to 5 standard errors (25 %) and correlations to 0.12."""
     rng = np.random.default_rng(2026)
     model, n = NoiseModel.parse(text), 1024
     curves = [
@@ -92,13 +92,13 @@ def test_simulated_curves_scatter_as_predicted(
 
 
 def test_the_covariance_is_quadratic_in_the_variances() -> None:
-    """A noise twice as loud has variances four times as large, and covariances sixteen."""
+    """Doubling the noise multiplies variances by 4 and their covariances by 16."""
     found = avar_covariance(2 ** np.arange(8), 2000, [N, K, R], overlapping=True)
     npt.assert_allclose(found.at(np.array([4.0, 4e-3, 4e-6])), 16 * found.at(np.array([1.0, 1e-3, 1e-6])))
 
 
-def test_refuses_an_averaging_factor_beyond_half_the_record() -> None:
-    """The range is in the message."""
+def test_an_averaging_factor_beyond_half_the_record_is_rejected() -> None:
+    """The error states the valid range."""
     with pytest.raises(ValueError, match=r"averaging factors must be in 1\.\.50 for 100 samples"):
         avar_covariance(np.array([51]), 100, [N], overlapping=True)
 
@@ -106,19 +106,19 @@ def test_refuses_an_averaging_factor_beyond_half_the_record() -> None:
 @pytest.mark.parametrize(
     ("longest", "times", "reach"), [(4, [], 96), (4, [4.4], 96), (4, [4.41], 192), (4, [100.0, 5.0], 3072)]
 )
-def test_lags_reach_by_powers_of_two(longest: int, times: list[float], reach: int) -> None:
-    """To 24 windows for flicker, doubled until 20 correlation times lie beyond both windows."""
+def test_the_largest_lag_grows_by_powers_of_two(longest: int, times: list[float], reach: int) -> None:
+    """It is 24 windows for flicker, doubled until it exceeds both windows by 20 correlation times."""
     assert module._reach(longest, [_markov(time) for time in times]) == reach
 
 
 @pytest.mark.parametrize("overlapping", [True, False])
 @pytest.mark.parametrize("term", [Q, N, B, K, _markov(4.0)])
-def test_two_averaging_times_covary_as_their_squares_summed_over_all_pairs(
+def test_the_covariance_of_two_averaging_times_is_a_sum_over_all_pairs(
     term: NoiseTerm, *, overlapping: bool
 ) -> None:
-    """A double loop over the differences of both, each covariance from V(n) by its definition.
+    """The reference is a double loop over the differences, with covariances from V(n) by its definition.
 
-    Adjacent windows of unequal length are paired at each lag to the nearest whole number only.
+    Adjacent windows of unequal length are only paired to the nearest integer at each lag.
     """
     n, mi, mj = 24, 2, 3
     starts = [range(0, n - 2 * m + 1, 1 if overlapping else m) for m in (mi, mj)]
@@ -138,25 +138,25 @@ def test_two_averaging_times_covary_as_their_squares_summed_over_all_pairs(
 
 
 @pytest.mark.parametrize("term", [Q, N, K])
-def test_windows_that_do_not_meet_share_nothing(term: NoiseTerm) -> None:
-    """Windows of 2 times 12 and 2 times 20 samples, however far apart: not even rounding errors."""
+def test_disjoint_windows_of_these_terms_are_uncorrelated(term: NoiseTerm) -> None:
+    """Windows of 2 × 12 and 2 × 20 samples give exactly zero at every distance, without rounding errors."""
     far = np.array([-(10**7), -41, 25, 200, 10**7 + 3])
     assert not module._lag_covariance(far, 12, 20, term).any()
 
 
 @pytest.mark.parametrize("term", [B, _markov(300.0)])
-def test_windows_that_do_not_meet_share_what_is_correlated(term: NoiseTerm) -> None:
-    """A long Gauss-Markov term and flicker are the same in both windows, ever less the farther apart."""
+def test_disjoint_windows_of_slow_terms_are_correlated(term: NoiseTerm) -> None:
+    """The correlation of flicker and of a long Gauss-Markov term decreases with the distance."""
     near = module._lag_covariance(np.array([-41, -50, -100, -300]), 12, 20, term)
     assert np.all(near < 0)
     assert np.all(np.diff(near) > 0)
 
 
 @pytest.mark.parametrize(("mi", "mj"), [(1, 1), (64, 1), (64, 64), (1024, 4)])
-def test_a_slow_gauss_markov_term_keeps_its_digits(mi: int, mj: int) -> None:
-    """T = 786432 samples, against sums of V(n) with 60 digits at every lag of the grid.
+def test_a_slow_gauss_markov_term_keeps_its_precision(mi: int, mj: int) -> None:
+    """T = 786432 samples; the reference sums V(n) with 60 digits at every lag of the grid.
 
-    In double precision the same sums were 4e10 times too large at m = 1.
+    In double precision these sums would be 4e10 times too large at m = 1.
     """
     time = 786_432
     reach = module._reach(max(mi, mj), [_markov(time)])

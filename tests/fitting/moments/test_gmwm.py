@@ -1,4 +1,4 @@
-"""Fits of the Allan curve: minima, intervals, laws, refusals; curves of other tools are in test_table."""
+"""Tests of fits of the Allan curve: minima, intervals, heavy tails and errors."""
 
 from dataclasses import replace
 
@@ -40,8 +40,8 @@ def _series(text: str, n: int, seed: int, rate_hz: float = 100.0) -> AxisSeries:
         "N=0.1 + R=1e-4",
     ],
 )
-def test_the_truth_lies_in_wide_intervals(text: str) -> None:
-    """At level 0.999 every coefficient of 1e6 samples' model is inside (one record, one seed)."""
+def test_wide_intervals_cover_the_truth(text: str) -> None:
+    """At level 0.999, the interval of every coefficient covers it (one record of 1e6 samples, one seed)."""
     truth = NoiseModel.parse(text)
     series = _series(text, 10**6, 11)
     fit = fit_gmwm(series, allan_curve(series), FitSettings(model=str(truth), level=0.999))
@@ -54,8 +54,8 @@ def test_the_truth_lies_in_wide_intervals(text: str) -> None:
     assert fit.goodness.p_value > 1e-4
 
 
-def test_terms_are_chosen() -> None:
-    """The model of 1e6 samples is found where its terms can be told."""
+def test_the_true_terms_are_selected() -> None:
+    """In a record of 1e6 samples, all terms of these models are detectable."""
     for text in ("N=0.1 + K=1e-2", "N=0.1 + GM(sigma=0.1, T=5)", "Q=0.0173 + N=0.1 + K=1e-2"):
         series = _series(text, 10**6, 7)
         fit = fit_gmwm(series, allan_curve(series), FitSettings())
@@ -65,7 +65,7 @@ def test_terms_are_chosen() -> None:
 
 
 def test_eta3_reaches_the_minimum_of_its_objective() -> None:
-    """No start of a general optimiser, among 40 spread over decades, finds a lower sum of squares."""
+    """Nelder-Mead from 40 starts over many decades finds no lower sum of squares."""
     from scipy.optimize import minimize
 
     curve = simulated_curve("N=10 + K=0.03", 100_000, np.random.default_rng(3))
@@ -104,8 +104,8 @@ def test_correlation_times_are_at_the_global_minimum() -> None:
     assert found.objective <= lowest * (1 + 1e-9)
 
 
-def test_eta3_is_better_than_what_stops_early() -> None:
-    """RMSE of K² over 40 records of setting A: 31 % at the minimum, 56 % for one that stops before it."""
+def test_eta3_does_not_stop_before_the_minimum() -> None:
+    """The RMSE of K² over 40 records of setting A is 31 % at the minimum, 56 % if the search stops early."""
     rng = np.random.default_rng(8)
     ratios = []
     for _ in range(40):
@@ -118,8 +118,8 @@ def test_eta3_is_better_than_what_stops_early() -> None:
 
 
 @pytest.mark.parametrize("exponent", [-9, 9])
-def test_units_change_nothing_but_the_unit(exponent: int) -> None:
-    """Rescaled samples rescale estimates, limits and covariance, for both weights."""
+def test_rescaled_samples_only_rescale_the_fit(exponent: int) -> None:
+    """Estimates, limits and covariance scale with the samples, for both weights."""
     curve = simulated_curve("N=1 + B=0.2 + K=1e-2", 4096, np.random.default_rng(9))
     factor = 10.0**exponent
     scaled = replace(curve, avar=curve.avar * factor**2)
@@ -133,8 +133,8 @@ def test_units_change_nothing_but_the_unit(exponent: int) -> None:
         assert other.goodness.statistic == pytest.approx(one.goodness.statistic, rel=1e-6)
 
 
-def test_the_same_curve_gives_the_same_fit() -> None:
-    """To the last bit, also with Gauss-Markov terms."""
+def test_the_fit_is_deterministic() -> None:
+    """Two fits are equal to the last bit, also with Gauss-Markov terms."""
     curve = simulated_curve("N=1 + GM(sigma=0.3, T=30)", 20_000, np.random.default_rng(1))
     one, other = fit_gmwm(None, curve, FitSettings()), fit_gmwm(None, curve, FitSettings())
     assert one.estimates == other.estimates
@@ -143,11 +143,11 @@ def test_the_same_curve_gives_the_same_fit() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("weights", ["full", "eta3"])
-def test_intervals_cover(weights: str) -> None:
-    """Of 80 records, 95 % intervals of N, B and K hold the truth in 88 to 100 %.
+def test_intervals_have_the_nominal_coverage(weights: str) -> None:
+    """In 80 records, the 95 % intervals of N, B and K cover the truth in 88 to 100 %.
 
-    Three standard errors of a proportion of 0.95 are 7 %; where zero is inside the interval, which
-    is half of the records for K, it covers more often. The largest runs are in the benchmarks.
+    Three standard errors of a proportion of 0.95 are 7 %. Intervals that include zero, as half of K's do,
+    cover more often. The benchmarks contain larger runs.
     """
     rng = np.random.default_rng(2)
     truth = {"N": 1.0, "B": 0.2, "K": 1e-2}
@@ -164,8 +164,8 @@ def test_intervals_cover(weights: str) -> None:
 
 
 @pytest.mark.slow
-def test_terms_that_are_not_there_are_bounded() -> None:
-    """On white noise, at most 5 % of records show B or K (three standard errors more), and bounds hold."""
+def test_absent_terms_have_an_upper_bound() -> None:
+    """On white noise, at most 5 % of the records plus three standard errors report B or K."""
     rng = np.random.default_rng(6)
     shown = 0
     for _ in range(40):
@@ -180,8 +180,8 @@ def test_terms_that_are_not_there_are_bounded() -> None:
     assert shown <= 0.05 * 40 + 3 * np.sqrt(40 * 0.05 * 0.95)
 
 
-def test_full_weights_find_a_ramp_that_eta3_loses() -> None:
-    """The interval of R is at least a third narrower (science: 1.4 times the bound against 5.8)."""
+def test_full_weights_estimate_a_ramp_better_than_eta3() -> None:
+    """The interval of R is narrower by a third or more (theory: 1.4 against 5.8 times the lower bound)."""
     curve = simulated_curve("N=1 + R=3e-6", 100_000, np.random.default_rng(12))
     widths = []
     for weights in ("full", "eta3"):
@@ -190,8 +190,8 @@ def test_full_weights_find_a_ramp_that_eta3_loses() -> None:
     assert widths[0] < widths[1] / 1.5
 
 
-def test_an_output_filter_is_found_and_left_out() -> None:
-    """Behind a filter at a tenth of the rate, N and K are right and the finding says from where."""
+def test_averaging_times_shaped_by_an_output_filter_are_omitted() -> None:
+    """Behind a filter at a tenth of the rate, N and K are right, and a finding states the shortest time."""
     from scipy.signal import butter, sosfilt
 
     series = _series("N=0.1 + K=1e-2", 400_000, 13)
@@ -207,19 +207,19 @@ def test_an_output_filter_is_found_and_left_out() -> None:
 
 
 def test_heavy_tails_widen_the_interval_of_white_noise() -> None:
-    """Laplace noise of equal variance scatters more: Var(sigma²) is 2.5 times as large."""
+    """Laplace noise of equal variance has 2.5 times the variance of sigma²."""
     rng = np.random.default_rng(14)
     widths = []
     for samples in (rng.standard_normal(20_000), rng.laplace(size=20_000) / np.sqrt(2)):
         series = AxisSeries.from_samples(samples, rate_hz=1.0)
         estimate = fit_gmwm(series, octave_curve(samples), FitSettings(model="N"))["N"]
         widths.append(estimate.high - estimate.low)
-    # N is read off many averaging times, and only the shortest are widened; 1.58 would be all.
+    # N depends on many averaging times, and only the shortest are widened; 1.58 would be the full factor.
     assert 1.3 < widths[1] / widths[0] < 1.75
 
 
-def test_names_and_covariance_belong_together() -> None:
-    """Each estimated parameter has its row; the standard error is near that of the interval."""
+def test_the_covariance_has_the_names_of_its_parameters() -> None:
+    """The standard errors agree with the widths of the intervals to 35 %."""
     curve = simulated_curve("N=1 + GM(sigma=0.5, T=40) + K=3e-3", 200_000, np.random.default_rng(15))
     fit = fit_gmwm(None, curve, FitSettings(model="N + GM + K"))
     assert fit.parameters == ("N", "GM.sigma", "GM.T", "K")
@@ -241,16 +241,16 @@ def _short(n: int) -> NoiseFit:
     return fit_gmwm(None, simulated_curve("N=1", n, np.random.default_rng(1)), FitSettings())
 
 
-def test_a_short_record_gives_what_it_can() -> None:
-    """Sixteen samples make three points: one term is told, the others have bounds."""
+def test_a_short_record_determines_one_term() -> None:
+    """Sixteen samples make three points, so the other terms have bounds."""
     fit = _short(16)
     assert len(fit.model.terms) == 1
     assert fit["K"].status == "bounded"
     assert fit["K"].high > 0
 
 
-def test_refuses_a_curve_of_one_point() -> None:
-    """The message says how many there are and what to do."""
+def test_a_curve_of_one_point_is_rejected() -> None:
+    """The error states the number of points and the remedy."""
     with pytest.raises(
         DataError,
         match=r"^the curve: 1 positive Allan variances at averaging times a factor 1\.9 apart; "
@@ -259,8 +259,8 @@ def test_refuses_a_curve_of_one_point() -> None:
         _short(4)
 
 
-def test_refuses_more_parameters_than_points() -> None:
-    """The message counts both."""
+def test_more_parameters_than_points_are_rejected() -> None:
+    """The error states both numbers."""
     curve = simulated_curve("N=1", 16, np.random.default_rng(1))
     with pytest.raises(
         DataError,
@@ -270,8 +270,8 @@ def test_refuses_more_parameters_than_points() -> None:
         fit_gmwm(None, curve, FitSettings(model="N + GM + K"))
 
 
-def test_refuses_other_variances() -> None:
-    """A Hadamard curve is not taken for an Allan curve."""
+def test_other_variances_are_rejected() -> None:
+    """A Hadamard curve must not be fitted as an Allan curve."""
     curve = simulated_curve("N=1", 64, np.random.default_rng(1))
     with pytest.raises(
         DataError, match=r"^the curve: contains hadamard variances; a fit needs Allan variances"
@@ -280,7 +280,7 @@ def test_refuses_other_variances() -> None:
 
 
 def test_a_curve_of_unknown_length_is_reported() -> None:
-    """Intervals take the shortest record that allows the curve, and are wider for it."""
+    """The intervals assume the shortest record that allows the curve, so they are wider."""
     curve = simulated_curve("N=1 + K=1e-2", 20_000, np.random.default_rng(3))
     known = fit_gmwm(None, curve, FitSettings(model=WALK))
     unknown = fit_gmwm(
@@ -294,8 +294,8 @@ def test_a_curve_of_unknown_length_is_reported() -> None:
     assert unknown.curve.edf_method == "model"
 
 
-def test_a_term_with_a_time_is_fitted_by_its_class_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A second-order Gauss-Markov term beside white noise, its line in the table and nothing else."""
+def test_a_new_term_with_a_time_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The test adds a second-order Gauss-Markov term to the table of terms and nothing more."""
 
     class Fitted(SecondOrder):
         fitted_by = frozenset({"gmwm"})
@@ -314,8 +314,8 @@ def test_a_term_with_a_time_is_fitted_by_its_class_alone(monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize(("model", "codes"), [("N", []), (WALK, ["narrow-intervals"])])
-def test_intervals_of_several_terms_are_not_called_good(model: str, codes: list[str]) -> None:
-    """They cover less than their level; a warning keeps the verdict from being good."""
+def test_intervals_of_several_terms_raise_a_warning(model: str, codes: list[str]) -> None:
+    """They cover less than their level; the warning prevents the verdict "good"."""
     series = _series("N=0.1 + K=1e-2", 20_000, 31)
     fit = fit_gmwm(series, allan_curve(series), FitSettings(model=model))
     assert [f.code for f in fit.findings if f.level == "warning" and f.code != "poor-fit"] == codes

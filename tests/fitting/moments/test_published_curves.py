@@ -1,4 +1,4 @@
-"""Allan curves that other tools published, fitted by gmwm."""
+"""Tests of the method gmwm on Allan curves that other tools published."""
 
 import re
 
@@ -12,10 +12,10 @@ from tests.real_data import real_data
 
 
 def test_the_known_truth_of_a_published_curve_is_found() -> None:
-    """ori-drs/allan_variance_ros, 11000 s at 400 Hz, simulated: N and K of six axes, adjacent windows.
+    """Simulated curves of ori-drs/allan_variance_ros, 11000 s at 400 Hz: six axes, adjacent windows.
 
-    All twelve truths lie inside their 95 % intervals (of twelve, fewer than ten would be beyond
-    three standard errors). The tool's own fit is 1 to 2 % high in N and 30 to 61 % in K.
+    All twelve true N and K are inside their 95 % intervals (fewer than ten would be beyond three standard
+    errors). The tool's own fit is 1 to 2 % high in N and 30 to 61 % high in K.
     """
     path = real_data("curves", "ori_drs_simulated", "allan_variance.csv")
     tau, *columns = np.loadtxt(path).T
@@ -26,7 +26,7 @@ def test_the_known_truth_of_a_published_curve_is_found() -> None:
         "rad/s": {"N": 1.888339269965301e-4, "K": 2.5565313322052523e-6},
     }
     assert len(columns) == 6
-    # The table has neither headings nor counts: accelerations in m/s², rates in deg/s; n/m windows less one.
+    # The table has no header: accelerations are in m/s², rates in deg/s, with n/m - 1 windows.
     edf = np.maximum((n - 2 * m + 1) / m, 1.0)
     for column, unit in zip(columns, ["m/s^2"] * 3 + ["rad/s"] * 3, strict=True):
         adev = column * (np.pi / 180 if unit == "rad/s" else 1.0)
@@ -49,10 +49,10 @@ def test_the_known_truth_of_a_published_curve_is_found() -> None:
 
 
 @pytest.mark.parametrize("device", ["16448", "A3", "N3", "gx4", "xsens"])
-def test_published_curves_of_real_sensors_are_met_at_one_second(device: str) -> None:
-    """imu_utils publishes sigma(1 s) as N, which holds B and K too: the model's is within 10 % of it.
+def test_the_model_agrees_with_published_curves_at_one_second(device: str) -> None:
+    """imu_utils publishes sigma(1 s) as N, although it includes B and K; the model agrees with it to 10 %.
 
-    Its own values are 0 to 8 % off the curves they were read from. The curve itself is met to 4 %
+    The published values differ from their own curves by 0 to 8 %. The model agrees with the curve to 4 %
     at 1 s, although several of these sensors have output filters.
     """
     folder = real_data("curves", "imu_utils")

@@ -1,4 +1,4 @@
-"""Slopes read off the curve."""
+"""Tests of the method slope, which estimates terms from the slopes of the curve."""
 
 import numpy as np
 import numpy.testing as npt
@@ -9,8 +9,8 @@ from imucal.fitting.moments import fit_slope
 from tests.fitting.moments.curves import simulated_curve
 
 
-def test_lines_are_read_where_they_are() -> None:
-    """N at the short times, K at the long ones, and the windows are told."""
+def test_lines_are_found_at_their_averaging_times() -> None:
+    """N is found at short times and K at long times, and the settings contain both windows."""
     curve = simulated_curve("N=1 + K=0.01", 1_000_000, np.random.default_rng(41))
     fit = fit_slope(None, curve, FitSettings())
     assert str(fit.model) == "N + K"
@@ -26,8 +26,8 @@ def test_lines_are_read_where_they_are() -> None:
     assert fit.covariance.shape == (2, 2)
 
 
-def test_a_floor_is_bias_instability_over_its_exact_level() -> None:
-    """On flicker with white noise the floor over 0.664 is B, and the interval knows of N."""
+def test_b_is_the_floor_divided_by_its_exact_level() -> None:
+    """For flicker plus white noise, the floor over 0.664 is B, and the interval allows for N."""
     curve = simulated_curve("N=1 + B=0.2", 500_000, np.random.default_rng(42))
     fit = fit_slope(None, curve, FitSettings())
     estimate = fit["B"]
@@ -37,7 +37,7 @@ def test_a_floor_is_bias_instability_over_its_exact_level() -> None:
 
 
 def test_given_windows_are_used() -> None:
-    """White noise of 1 read between 4 and 64 s."""
+    """White noise of 1 is fitted between 4 and 64 s."""
     curve = simulated_curve("N=1", 50_000, np.random.default_rng(43))
     fit = fit_slope(None, curve, FitSettings(model="N"), windows={"N": (4, 64)})
     assert fit.settings["windows"] == {"N": [4.0, 64.0]}
@@ -56,10 +56,10 @@ def test_given_windows_are_used() -> None:
         ("N=1 + R=1e-4", 20_000),
     ],
 )
-def test_intervals_are_honest(text: str, n: int) -> None:
-    """Of 25 records, 95 % intervals hold the truth in at least 82 % (three errors are 13 %).
+def test_intervals_have_the_nominal_coverage(text: str, n: int) -> None:
+    """In 25 records, 95 % intervals cover the truth in at least 82 % (three standard errors are 13 %).
 
-    A term that is not there has the truth 0, which only a bound holds: so no false B or K either.
+    An absent term has the truth 0, which only a bound covers, so a false B or K is a miss.
     """
     truth = dict.fromkeys("NBK", 0.0)
     truth |= {part.split("=")[0].strip(): float(part.split("=")[1]) for part in text.split("+")}
@@ -74,15 +74,14 @@ def test_intervals_are_honest(text: str, n: int) -> None:
         assert np.mean(hit) >= 0.82, key
 
 
-def test_the_minimum_of_n_and_k_is_no_flicker() -> None:
-    """White noise and a walk make a minimum; of 12 records B is told in one at most."""
+def test_the_minimum_of_n_and_k_is_not_flicker() -> None:
+    """White noise and a random walk form a minimum; at most 1 of 12 records reports B."""
     rng = np.random.default_rng(45)
     fits = [fit_slope(None, simulated_curve("N=1 + K=1e-2", 100_000, rng), FitSettings()) for _ in range(12)]
     assert sum(fit["B"].status == "estimated" for fit in fits) <= 1
 
 
-def test_units_change_nothing_but_the_unit() -> None:
-    """A curve in other units has the same windows."""
+def test_a_rescaled_curve_only_rescales_the_estimates() -> None:
     curve = simulated_curve("N=1 + K=0.01", 100_000, np.random.default_rng(46))
     small = type(curve)(tau=curve.tau, m=curve.m, avar=curve.avar * 1e-18, edf=curve.edf, n=curve.n)
     one, other = fit_slope(None, curve, FitSettings()), fit_slope(None, small, FitSettings())
@@ -90,8 +89,7 @@ def test_units_change_nothing_but_the_unit() -> None:
         npt.assert_allclose((b.low, b.high), (a.low * 1e-9, a.high * 1e-9), rtol=1e-9)
 
 
-def test_refuses_what_has_no_slope() -> None:
-    """Gauss-Markov terms and empty windows."""
+def test_gauss_markov_terms_and_empty_windows_are_rejected() -> None:
     curve = simulated_curve("N=1", 1000, np.random.default_rng(47))
     with pytest.raises(ValueError, match=r"^method 'slope' can't fit GM \(Gauss-Markov\); leave GM out"):
         fit(curve, method="slope", model="N + GM")
@@ -103,8 +101,8 @@ def test_refuses_what_has_no_slope() -> None:
         fit_slope(None, curve, FitSettings(model="N"), windows={"N": (0.1, 0.5)})
 
 
-def test_the_covariance_of_what_is_read_is_that_of_the_points_it_is_read_at() -> None:
-    """By the weights of each line: the standard error of one is half of a 1-sigma interval's logarithm."""
+def test_the_covariance_follows_from_the_weights_of_the_points() -> None:
+    """A relative standard error equals half the logarithmic width of a 1-sigma interval."""
     curve = simulated_curve("N=1 + K=0.01", 100_000, np.random.default_rng(48))
     found = fit_slope(None, curve, FitSettings(model="N + K", level=0.6826894921))
     deviation = np.sqrt(np.diag(found.covariance))

@@ -1,4 +1,4 @@
-"""Output filters: N keeps its meaning, whatever the filter, and the filter is named."""
+"""Tests of output filters: N is the noise before the filter, and the filter is reported."""
 
 import numpy as np
 import pytest
@@ -40,22 +40,21 @@ FILTERS = {
 
 @pytest.mark.parametrize("name", first_by_default(FILTERS, 5))
 def test_n_is_right_behind_a_filter(name: str) -> None:
-    """N is within 2 %, inside its interval in most records, and B inside its own."""
+    """The interval of N covers the truth in at least three of four records."""
     hits, errors = [], []
     for seed in range(4):
         result = fitted(filtered(*FILTERS[name], seed), "N + B + K")
         assert result["N"].value is not None
         errors.append(result["N"].value - 1)
         hits.append(result["N"].low <= 1 <= result["N"].high)
-    # Its standard error behind these filters is up to 1 %.
+    # The standard error of N behind these filters is up to 1 %.
     assert np.max(np.abs(errors)) < 0.04
-    # Four hits of 95 % each: two misses or more have a chance of 1.4 %.
+    # At a coverage of 95 %, two or more misses in four records have a probability of 1.4 %.
     assert sum(hits) >= 3
 
 
 @pytest.mark.parametrize(("name", "corner"), [("one-pole", 0.15), ("butterworth-2", 0.25)])
-def test_names_the_filter_and_its_corner(name: str, corner: float) -> None:
-    """Kind and -3 dB corner come back, and a sentence says so."""
+def test_the_filter_and_its_corner_are_reported(name: str, corner: float) -> None:
     result = fitted(filtered(*FILTERS[name], 1), "N + B + K")
     assert result.response is not None
     assert result.response.cutoff_hz == pytest.approx(corner / 2, rel=0.05)
@@ -66,8 +65,8 @@ def test_names_the_filter_and_its_corner(name: str, corner: float) -> None:
         assert result.response.kind == "one-pole"
 
 
-def test_plain_noise_keeps_the_whole_band() -> None:
-    """Without a filter none is found, in any of ten records."""
+def test_noise_without_a_filter_uses_the_full_band() -> None:
+    """No filter is found in any of ten records."""
     for seed in range(10):
         result = fitted(simulated(TEXT, 50_000, seed), "N + B + K")
         assert result.response is None
@@ -84,7 +83,7 @@ def test_auto_keeps_n_in_the_model_behind_a_filter() -> None:
 
 
 def test_given_gauss_markov_terms_may_be_short() -> None:
-    """A correlation time of five samples, beside white noise, is believed where GM was asked for."""
+    """A correlation time of five samples next to white noise is not a filter if the model contains GM."""
     result = fitted(simulated("N=1 + GM(sigma=1, T=5) + GM(sigma=1, T=200)", 100_000, 1), "N + 2*GM")
     assert result.response is None
     times = [e.correlation_time for e in result.estimates if e.symbol == "GM"]
@@ -96,17 +95,17 @@ def test_given_gauss_markov_terms_may_be_short() -> None:
 
 @pytest.mark.parametrize("share", first_by_default([0.05, 0.12, 0.02], 1))
 def test_smoothing_is_a_filter(share: float) -> None:
-    """Smoothing, y += a (x - y), has the spectrum of a Gauss-Markov term; N is the noise in front of it."""
-    held = {"N": 0, "B": 0}
+    """Smoothing, y += a (x - y), has the spectrum of a Gauss-Markov term; N is the noise before it."""
+    covered = {"N": 0, "B": 0}
     for seed in range(4):
         samples = simulated("N=1e-4 + B=3e-5", 60_000, seed, rate_hz=100.0)
         smooth = signal.lfilter([share], [1, share - 1], samples - samples[0])[500:]
         fit = fitted(smooth, rate_hz=100.0)
-        held["N"] += fit["N"].low <= 1e-4 <= fit["N"].high
-        held["B"] += fit["B"].low <= 3e-5 <= fit["B"].high
+        covered["N"] += fit["N"].low <= 1e-4 <= fit["N"].high
+        covered["B"] += fit["B"].low <= 3e-5 <= fit["B"].high
         (found,) = (finding for finding in fit.findings if finding.code == "output-filter")
-        # A Gauss-Markov term of more than ten samples would explain the spectrum as well.
+        # A Gauss-Markov term of more than ten samples would explain the spectrum equally well.
         if share < 0.1:
             assert found.level == "warning"
-    assert held["N"] >= 3
-    assert held["B"] >= 3
+    assert covered["N"] >= 3
+    assert covered["B"] >= 3

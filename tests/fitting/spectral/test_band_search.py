@@ -1,4 +1,4 @@
-"""The search for a band: which description is enough, and where a response starts."""
+"""Tests of the search for a band: which description is sufficient, and where a response starts."""
 
 from dataclasses import replace
 
@@ -58,13 +58,13 @@ def _trial(order: Order, objective: float, statistic: float = 0.0) -> _Trial:
 def test_a_sound_description_gains_no_more_than_chance(
     statistic: float, gains: tuple[float, ...], *, enough: bool
 ) -> None:
-    """A score below 3; the next order gains less than 9 in twice the log-likelihood, the one after 12."""
+    """The score is below 3, and twice the log-likelihood gains less than 9 by one order and 12 by two."""
     more = [_trial((k + 1, 0), 100 - gain / 2) for k, gain in enumerate(gains)]
     assert _enough([_trial((0, 0), 100.0, statistic), *more]) == enough
 
 
-def test_the_flat_band_has_the_benefit_of_the_doubt() -> None:
-    """A score below 4, and gains of 12 and 15; of 30 and 33 where quantization may bend the spectrum."""
+def test_the_flat_band_has_higher_thresholds() -> None:
+    """The score is below 4, the gains below 12 and 15, or 30 and 33 if quantization may shape the band."""
     assert (band_search._SOUND_FLAT, band_search._GAIN_FLAT) == (4.0, (12.0, 15.0))
     assert (band_search._GAIN_QUANTIZED, band_search._QUANTIZED) == ((30.0, 33.0), 0.2)
     trials = [_trial((0, 0), 100.0, 3.9), _trial((1, 0), 100 - 5.9), _trial((2, 0), 100 - 7.4)]
@@ -72,8 +72,8 @@ def test_the_flat_band_has_the_benefit_of_the_doubt() -> None:
     assert not _enough(trials)
 
 
-def test_the_simplest_sound_order_comes_with_the_next() -> None:
-    """By the number of poles and zeros; an order without its next one is none."""
+def test_the_simplest_sound_order_is_returned_with_the_next_one() -> None:
+    """Orders are sorted by poles plus zeros; an order whose next one is missing is skipped."""
     trials = [
         _trial((0, 0), 100.0),
         _trial((1, 0), 50.0),
@@ -91,8 +91,8 @@ def test_the_simplest_sound_order_comes_with_the_next() -> None:
     assert [t.order for t in without] == [(1, 1), (2, 1)]
 
 
-def test_orders_that_are_tried() -> None:
-    """Up to five poles; with as many zeros, one and two poles more."""
+def test_the_tried_orders() -> None:
+    """They have up to five poles, or with zeros, as many poles or one or two more."""
     assert band_search._ALL_POLES == [(0, 0), (1, 0), (2, 0), (3, 0), (4, 0), (5, 0)]
     assert set(band_search._WITH_ZEROS) - set(band_search._ALL_POLES) == {
         *((1, 1), (2, 1), (3, 1), (2, 2), (3, 2), (4, 2)),
@@ -100,30 +100,30 @@ def test_orders_that_are_tried() -> None:
     }
 
 
-def test_the_deviation_of_white_noise_is_half_that_of_its_logarithm() -> None:
-    """Infinite where the model has none."""
+def test_the_standard_error_of_white_noise_is_half_that_of_its_log_variance() -> None:
+    """It is infinite if the model has no white noise."""
     information = np.diag([1.0, 25.0, 1.0, 1.0])
     white = _maximum(0.0, information)
     assert _deviation_of_white(white) == pytest.approx(0.1)
     assert _deviation_of_white(replace(white, models=models_of([("B",)], ()))) == np.inf
 
 
-def test_the_level_at_the_top_is_that_of_the_last_eight_bins() -> None:
-    """Their power over their ordinates."""
+def test_the_level_at_the_top_is_the_mean_of_the_last_eight_bins() -> None:
+    """The mean is the power divided by the number of ordinates."""
     data = ordinates_of(simulated("N=1", 2000, 1))
     search = _BandSearch(data, ("N",), 10.0)
     assert search.level_at_the_top() == pytest.approx(data.power[-8:].sum() / data.size[-8:].sum())
 
 
-def test_white_noise_at_the_top_makes_most_of_the_power_there() -> None:
-    """Of white noise it does, of a walk it does not."""
+def test_white_noise_dominates_the_top_of_its_band() -> None:
+    """It does for white noise, but not for a random walk."""
     for text, white in (("N=1", True), ("K=1", False)):
         data = ordinates_of(simulated(text, 2000, 2))
         assert _BandSearch(data, ("N", "K"), 10.0).white_at_the_top() == white
 
 
 def _shaped(data: Ordinates, order: Order, response: FloatArray, white: float) -> Ordinates:
-    """Return ordinates whose power is exactly that of white noise behind a response."""
+    """Return ordinates with the exact power of white noise behind a response."""
     x = data.lam / data.top
     shape = (1 - data.lam / 4) ** order[1] / (1 + x[:, None] ** np.arange(1, order[0] + 1) @ response)
     return replace(data, power=data.size * white * shape)
@@ -133,8 +133,8 @@ def _shaped(data: Ordinates, order: Order, response: FloatArray, white: float) -
     ("order", "response"),
     [((1, 0), [2.0]), ((2, 0), [-0.5, 6.0]), ((2, 2), [-1.5, 3.0]), ((3, 1), [0.5, 0.1, 9.0])],
 )
-def test_a_response_starts_at_the_one_that_is_there(order: Order, response: list[float]) -> None:
-    """Of white noise without scatter the regression returns variance and coefficients to rounding."""
+def test_a_response_starts_at_the_true_coefficients(order: Order, response: list[float]) -> None:
+    """For white noise without scatter, the regression returns variance and coefficients to rounding."""
     data = _shaped(ordinates_of(simulated("N=1", 2000, 1)).below(0.9), order, np.array(response), 7.0)
     low = np.array([[1.0, 2.0, 3.0, 4.0]])
     theta = start_response(data, low, order, width=4, room=5)
@@ -145,8 +145,8 @@ def test_a_response_starts_at_the_one_that_is_there(order: Order, response: list
     assert theta.shape == (1, 9)
 
 
-def test_a_resonance_so_sharp_that_no_regression_is_positive_starts_flat() -> None:
-    """Then it is the best of a row of Butterworth responses, with a likelihood."""
+def test_a_very_sharp_resonance_starts_at_a_butterworth_response() -> None:
+    """No regression is positive there; the start is the best of several Butterworth responses."""
     data = ordinates_of(simulated("N=1", 2000, 1)).below(1.0)
     wild = _shaped(data, (1, 0), np.array([-0.9999]), 1.0)
     theta = start_response(wild, np.zeros((1, 4)), (2, 0), width=4, room=2)
@@ -155,7 +155,7 @@ def test_a_resonance_so_sharp_that_no_regression_is_positive_starts_flat() -> No
 
 
 def test_a_flat_start_is_the_butterworth_response_nearest_to_the_data() -> None:
-    """Of white noise behind one whose corner is tried, it is that one, with its level."""
+    """For white noise behind a tried Butterworth response, it is that response with its level."""
     data = ordinates_of(simulated("N=1", 2000, 1)).below(1.0)
     low, high, steps = filter_response.CORNERS
     corner = np.geomspace(low, high, steps)[12]
@@ -172,7 +172,7 @@ def test_a_flat_start_is_the_butterworth_response_nearest_to_the_data() -> None:
 
 
 def test_the_blind_fit_is_the_best_of_its_starts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By its objective, whichever start it came from."""
+    """The fit with the lowest objective is returned."""
     data = ordinates_of(simulated("N=1", 500, 1))
     found = at_maximum(np.arange(12.0).reshape(3, SHAPED), objective=np.array([5.0, 3.0, 4.0]))
     monkeypatch.setattr(maximum, "maximize", lambda *_, **__: found)
@@ -180,8 +180,8 @@ def test_the_blind_fit_is_the_best_of_its_starts(monkeypatch: pytest.MonkeyPatch
     npt.assert_array_equal(_BandSearch(data, ("N",), 10.0).blind(data), [[4.0, 5.0, 6.0, 7.0]])
 
 
-def test_the_slow_terms_are_found_below_a_32nd_of_the_band(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On the narrowest band where it has 24 bins; else on all there is."""
+def test_slow_terms_are_fitted_below_a_32nd_of_the_band(monkeypatch: pytest.MonkeyPatch) -> None:
+    """If that part has fewer than 24 bins, the full band is used."""
     seen: list[Ordinates] = []
 
     def blind(_: _BandSearch, data: Ordinates) -> FloatArray:
@@ -200,8 +200,8 @@ def test_the_slow_terms_are_found_below_a_32nd_of_the_band(monkeypatch: pytest.M
 def _scripted(
     monkeypatch: pytest.MonkeyPatch, *answers: list[_Trial], theta: FloatArray | None = None
 ) -> list[tuple[list[Order], FloatArray]]:
-    """Let fits give trials one after the other; return what was asked for."""
-    asked: list[tuple[list[Order], FloatArray]] = []
+    """Replace fits by scripted trials; return the requested orders and starts."""
+    requested: list[tuple[list[Order], FloatArray]] = []
 
     def fit(
         _: _BandSearch,
@@ -213,13 +213,13 @@ def _scripted(
     ) -> list[_Trial]:
         del seen, _more
         assert fraction == 1.0
-        asked.append((orders, starts))
-        return answers[len(asked) - 1]
+        requested.append((orders, starts))
+        return answers[len(requested) - 1]
 
     start = np.full((1, SHAPED + 5), 2.0) if theta is None else theta
     monkeypatch.setattr(_BandSearch, "fit", fit)
     monkeypatch.setattr(_BandSearch, "blind", lambda *_: start)
-    return asked
+    return requested
 
 
 def _flat_trials(
@@ -233,27 +233,27 @@ def _flat_trials(
     return [replace(trial, fit=replace(trial.fit, theta=row)) for trial in trials]
 
 
-def test_a_flat_band_needs_one_look_where_it_is_sound(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each order starts at the blind fit; what is returned has no response."""
-    asked = _scripted(monkeypatch, _flat_trials((11.9, 14.9), 3.9))
+def test_a_sound_flat_band_needs_one_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each order starts at the blind fit, and the returned band has no response."""
+    requested = _scripted(monkeypatch, _flat_trials((11.9, 14.9), 3.9))
     found = _BandSearch(ordinates_of(simulated("N=1", 2000, 1)), ("N", "K"), 10.0).flat()
     assert found is not None
     assert (found.fraction, found.order, found.poles, found.response.size) == (1.0, (0, 0), 0, 0)
-    ((orders, starts),) = asked
+    ((orders, starts),) = requested
     assert orders == [(0, 0), (1, 0), (2, 0)]
     npt.assert_array_equal(starts, np.full((3, SHAPED + 5), 2.0))
 
 
 @pytest.mark.parametrize(("better", "sound"), [(96.5, True), (99.0, False)])
-def test_a_flat_band_is_fitted_again_from_where_the_others_went(
+def test_a_flat_band_is_fitted_again_from_the_other_orders(
     better: float, *, sound: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without their responses; the best of the three counts."""
+    """The starts omit the responses, and the best of the three fits counts."""
     again = [_trial((0, 0), objective, 0.0) for objective in (101.0, better, 100.0)]
-    asked = _scripted(monkeypatch, _flat_trials((16.0, 16.0), 0.0), again)
+    requested = _scripted(monkeypatch, _flat_trials((16.0, 16.0), 0.0), again)
     found = _BandSearch(ordinates_of(simulated("N=1", 2000, 1)), ("N", "K"), 10.0).flat()
     assert (found is not None) == sound
-    orders, starts = asked[1]
+    orders, starts = requested[1]
     assert orders == [(0, 0)] * 3
     npt.assert_array_equal(starts[:, :SHAPED], 3.0)
     npt.assert_array_equal(starts[:, SHAPED:], 0.0)
@@ -262,10 +262,10 @@ def test_a_flat_band_is_fitted_again_from_where_the_others_went(
 @pytest.mark.parametrize(
     ("share", "structure", "sound"), [(0.21, "QN", True), (0.19, "QN", False), (0.21, "N", False)]
 )
-def test_quantization_that_bends_the_top_is_no_filter(
+def test_quantization_at_the_top_raises_the_thresholds(
     share: float, structure: str, *, sound: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where it makes a fifth of the power there, a filter must gain 30 and 33 instead of 12 and 15."""
+    """If it is a fifth of the power there, a filter must gain 30 and 33 instead of 12 and 15."""
     data = ordinates_of(simulated("N=1", 2000, 1))
     search = _BandSearch(data, tuple(structure), 10.0)
     theta = np.zeros((1, SHAPED + 5))
@@ -276,7 +276,7 @@ def test_quantization_that_bends_the_top_is_no_filter(
 
 
 def _band(name: str) -> Band:
-    """Return a band that can be told from others: the letters of its name are its coefficients."""
+    """Return a recognisable band: the letters of its name are its coefficients."""
     response = np.array([float(ord(letter)) for letter in name])
     return Band(fraction=1.0, order=(0, 0), poles=0, zeros=0, response=response)
 
@@ -293,7 +293,7 @@ def _band(name: str) -> Band:
         (None, False, False, False, "filtered"),
     ],
 )
-def test_which_description_is_tried_first(
+def test_the_order_of_tried_descriptions(
     given: tuple[str, ...] | None,
     used: str,
     *,
@@ -302,7 +302,7 @@ def test_which_description_is_tried_first(
     rich: bool,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Terms that were given where white noise remains, then the rich model, then without Q a response."""
+    """Given terms come first if white noise remains, then the rich model, then a response without Q."""
     bands = {name: _band(name) for name in ("given", "rich", "filtered")}
 
     def flat(search: _BandSearch) -> Band | None:
@@ -333,28 +333,27 @@ def test_which_description_is_tried_first(
         (None, None, False),
     ],
 )
-def test_a_filter_is_looked_for_where_a_term_hides_the_white_noise(
+def test_a_filter_is_searched_if_a_term_hides_the_white_noise(
     given: tuple[str, ...] | None, behind: float | None, *, taken: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its search has times ten times as long; a term that was given, or that hides the noise again, stays."""
-    masked, asked = replace(_band("masked"), masked=12.0), []
+    """It is searched with times above ten times that term's; a given or equally hidden result is not used."""
+    masked, requested = replace(_band("masked"), masked=12.0), []
 
     def sound(search: _BandSearch, near: float | None) -> Band | None:
         assert near is None
-        asked.append(search.shortest)
+        requested.append(search.shortest)
         return None if behind is None else replace(_band("filtered"), masked=behind, shortest=120.0)
 
     monkeypatch.setattr(_BandSearch, "flat", lambda _: masked)
     monkeypatch.setattr(_BandSearch, "white_at_the_top", lambda _: True)
     monkeypatch.setattr(_BandSearch, "sound", sound)
     found = find_band(ordinates_of(simulated("N=1", 2000, 1)), ("Q", "N", "GM", "K"), given=given)
-    assert asked == ([] if given == ("N", "GM") else [120.0])
+    assert requested == ([] if given == ("N", "GM") else [120.0])
     assert found.masked == 12.0
     assert found.shortest == (120.0 if taken else 10.0)
 
 
-def test_a_band_is_looked_for_near_another_first() -> None:
-    """Near the band that the search would choose, the answer is the same."""
+def test_a_search_near_the_right_band_finds_the_same_band() -> None:
     samples = np.convolve(simulated("N=1", 20_000, 41), np.full(9, 1 / 9), "valid")
     data = ordinates_of(samples)
     searched = find_band(data, ("Q", "N", "GM", "K"))
@@ -365,7 +364,7 @@ def test_a_band_is_looked_for_near_another_first() -> None:
 
 
 def test_a_band_selects_the_bins_outside_its_hump() -> None:
-    """Up to its end, without those between the edges."""
+    """Bins beyond the end of the band are not selected either."""
     data = ordinates_of(simulated("N=1", 2000, 1))
     hump = Hump(low=0.1, high=0.2, times=3.0)
     found = replace(_band("x"), fraction=0.5, hump=hump).select(data)

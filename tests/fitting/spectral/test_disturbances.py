@@ -1,4 +1,4 @@
-"""Cycles, steps, warm-ups and temperatures are found, taken out, and not found where there are none."""
+"""Tests of the search for disturbances: cycles, steps, warm-ups and temperature are found and removed."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ from tests.fitting.fits import fitted, simulated
 
 N = 60_000
 T = np.arange(N) / 10.0
-#: A walk that is seen, at 10 Hz.
+#: A random walk that is large enough to be detected, at 10 Hz.
 TRUTH = "N=1e-4 + K=1e-6"
 
 
@@ -30,26 +30,26 @@ def noise(seed: int, text: str = TRUTH) -> FloatArray:
 
 
 def found(samples: FloatArray, temperature: FloatArray | None = None) -> list[Disturbance]:
-    """Return what is found in samples at 10 Hz, its size in U."""
+    """Return the disturbances found in samples at 10 Hz, with sizes in U."""
     blocks = make_blocks(AxisSeries.from_samples(samples, rate_hz=10.0), temperature)
     return list(find_disturbances(blocks.blocks)[0])
 
 
-def as_without(fit: NoiseFit, plain: FloatArray) -> bool:
-    """Whether a fit bounds the noise about as the fit of the undisturbed samples does."""
+def agrees_with_undisturbed(fit: NoiseFit, plain: FloatArray) -> bool:
+    """Whether the upper limits of N, B and K agree with the fit of the undisturbed samples."""
     other = fitted(plain, rate_hz=10.0)
     return all(0.5 < fit[key].high / other[key].high < 1.5 for key in ("N", "B", "K"))
 
 
 def sentence(fit: NoiseFit, code: str) -> str:
-    """Return what the one finding of a code says."""
+    """Return the text of the only finding with this code."""
     (finding,) = [finding for finding in fit.findings if finding.code == code]
     return finding.text
 
 
 @pytest.mark.parametrize(("periods", "seed"), [(2.6, 1), (7.3, 2), (23.4, 3)])
 def test_a_cycle_is_found_with_its_period_and_amplitude(periods: float, seed: int) -> None:
-    """And K keeps its size; without the cycle's removal it would be several times too large."""
+    """K agrees with the undisturbed fit; with the cycle in the data it would be several times too large."""
     cycle = 1e-4 * np.sin(2 * np.pi * periods * np.arange(N) / N + 0.7)
     fit = fitted(noise(seed) + cycle, rate_hz=10.0)
     (finding,) = [finding for finding in fit.findings if finding.code == "cycle"]
@@ -57,24 +57,24 @@ def test_a_cycle_is_found_with_its_period_and_amplitude(periods: float, seed: in
     words = finding.text.removeprefix("The axis swings with a period of ").split()
     assert float(words[0]) == pytest.approx(N / 10 / periods, rel=0.06 / periods)
     assert float(words[3]) == pytest.approx(1e-4, rel=0.35)
-    assert as_without(fit, noise(seed))
+    assert agrees_with_undisturbed(fit, noise(seed))
 
 
-def test_the_harmonics_of_a_thermostat_are_taken_out_too() -> None:
-    """A triangle has a third and a fifth harmonic; all are in the one finding, the strongest first."""
+def test_the_harmonics_of_a_thermostat_cycle_are_removed() -> None:
+    """A triangle wave has a third and a fifth harmonic; one finding lists all, the strongest first."""
     angle = 2 * np.pi * 4.2 * np.arange(N) / N
     fit = fitted(noise(4) + 1e-3 * np.arcsin(np.sin(angle)) * 2 / np.pi, rate_hz=10.0)
     text = sentence(fit, "cycle")
     parts = text.removeprefix("The axis swings with a period of ").split("), ")
     periods = [float(part.split()[0]) for part in parts]
     assert periods[:2] == pytest.approx([6000 / 4.2, 2000 / 4.2], rel=0.02)
-    # What is left of the higher harmonics is little beside the walk.
+    # The remaining higher harmonics are small compared with the random walk.
     assert fit["K"].high < 2e-6
 
 
 @pytest.mark.parametrize(("place", "height", "seed"), [(0.3, 2e-4, 5), (0.77, -2e-4, 6), (0.5, 1e-2, 7)])
-def test_a_step_is_found_and_taken_out(place: float, height: float, seed: int) -> None:
-    """Its time to what the noise leaves open; a high one to the sample; B and K stay what they are."""
+def test_a_step_is_found_and_removed(place: float, height: float, seed: int) -> None:
+    """The time is as exact as the noise permits (a large step: to the sample); B and K are not affected."""
     at = int(place * N)
     fit = fitted(noise(seed) + height * (np.arange(N) >= at), rate_hz=10.0)
     (finding,) = [finding for finding in fit.findings if finding.code == "step"]
@@ -83,23 +83,23 @@ def test_a_step_is_found_and_taken_out(place: float, height: float, seed: int) -
     assert float(words[3]) == pytest.approx(at / 10, abs=1500 * (1e-5 / height) ** 2 + 0.11)
     assert finding.keep_s is not None
     assert finding.keep_s[1] - finding.keep_s[0] == pytest.approx(max(place, 1 - place) * N / 10, abs=30)
-    assert as_without(fit, noise(seed))
+    assert agrees_with_undisturbed(fit, noise(seed))
 
 
-def test_a_shift_that_takes_its_time_is_one_shift() -> None:
-    """Within a minute of 100: several jumps in one direction, said as one, with the time they take."""
+def test_a_gradual_shift_is_reported_as_one_step() -> None:
+    """A shift that takes about a minute is several steps in one direction; the finding merges them."""
     fit = fitted(noise(23) + 4e-4 / (1 + np.exp(-(T - 3000) / 15)), rate_hz=10.0)
     words = sentence(fit, "step").removeprefix("The level jumps by ").split()
     assert float(words[0]) == pytest.approx(4e-4, rel=0.3)
     assert words[2] == "from"
     assert 2900 < float(words[3]) < 3000 < float(words[5]) < 3100
     assert "and stays there" in sentence(fit, "step")
-    assert as_without(fit, noise(23))
+    assert agrees_with_undisturbed(fit, noise(23))
 
 
 @pytest.mark.parametrize("lag", [0.0, 60.0])
-def test_a_temperature_is_taken_out_with_its_lag(lag: float) -> None:
-    """A thermostat's cycle that the axis follows 60 s later, and at once; no cycle is said to be there."""
+def test_a_temperature_effect_is_removed_with_its_lag(lag: float) -> None:
+    """The axis follows a thermostat's cycle with a lag of 0 or 60 s; no cycle or step is reported."""
     rng = np.random.default_rng(8)
     warm = 25 + np.sin(2 * np.pi * T / 800) + 0.02 * rng.standard_normal(N)
     fit = fitted(noise(9) + 2e-4 * lagged(warm, 10 * lag), rate_hz=10.0, temperature=warm)
@@ -109,11 +109,11 @@ def test_a_temperature_is_taken_out_with_its_lag(lag: float) -> None:
     assert ("with a lag of" in text) == bool(lag)
     if lag:
         assert float(text.partition("a lag of ")[2].split()[0]) == pytest.approx(60, rel=0.4)
-    assert as_without(fit, noise(9))
+    assert agrees_with_undisturbed(fit, noise(9))
 
 
-def test_what_was_taken_out_can_be_taken_out_of_the_samples() -> None:
-    """What is left is the noise alone, to a part of what was added; scaling all scales all."""
+def test_removed_disturbances_can_be_subtracted_from_the_samples() -> None:
+    """The remainder is the noise to within 5 % of the disturbance, in any unit."""
     plain = noise(10)
     shape = 1e-3 * np.sin(2 * np.pi * 5.5 * np.arange(N) / N) + 2e-3 * (np.arange(N) > 40_000)
     for unit in (1.0, 1e-6):
@@ -125,7 +125,7 @@ def test_what_was_taken_out_can_be_taken_out_of_the_samples() -> None:
 
 
 def test_steps_and_cycles_are_found_across_gaps() -> None:
-    """Of a record with a long gap, each block has its part of the same cycle."""
+    """A record with a long gap has two blocks, which share the same cycle."""
     keep = np.ones(N, dtype=np.bool_)
     keep[25_000:27_000] = False
     samples = noise(11) + 1e-4 * np.sin(2 * np.pi * 6.7 * np.arange(N) / N) + 3e-4 * (np.arange(N) > 45_000)
@@ -143,8 +143,8 @@ def test_steps_and_cycles_are_found_across_gaps() -> None:
 @pytest.mark.parametrize(
     "text", ["N=1e-4", TRUTH, "N=1e-4 + B=3e-5 + K=3e-6", "N=1e-4 + GM(sigma=4e-5, T=9)"]
 )
-def test_clean_noise_has_none(text: str) -> None:
-    """Of 6 records of each at most one has; of 100 at most one (`tests/benchmarks/disturbances.py clean`)."""
+def test_clean_noise_has_no_disturbances(text: str) -> None:
+    """At most 1 of 6 records has one; of 100, at most 1 (`tests/benchmarks/disturbances.py clean`)."""
     assert sum(bool(found(simulated(text, 20_000, seed, rate_hz=10.0))) for seed in range(20, 26)) <= 1
 
 
@@ -153,8 +153,8 @@ def _blocks(seed: int) -> list[Block]:
     return [block.lowest(1200) for block in make_blocks(series).blocks]
 
 
-def test_gains_are_those_of_generalised_least_squares() -> None:
-    """Twice the log-likelihood at a given spectrum, by the normal equations of all regressors."""
+def test_gains_agree_with_generalised_least_squares() -> None:
+    """The reference solves the normal equations of all regressors at the given spectrum."""
     blocks = _blocks(31)
     spectrum = 1 + 30 / (1 + np.arange(blocks[0].bins.size))
     names = ("R", "exp:900.0")
@@ -171,8 +171,8 @@ def test_gains_are_those_of_generalised_least_squares() -> None:
         assert tool.gain(shape) == pytest.approx(expected, rel=1e-8)
 
 
-def test_the_search_for_a_step_looks_at_every_place() -> None:
-    """The best of the sine transforms is the best of all places, one by one."""
+def test_the_search_for_a_step_finds_the_best_place() -> None:
+    """No place that is tried one by one has a larger gain than the maximum of the sine transforms."""
     blocks = _blocks(32)
     tool = Whitened.by(blocks, np.ones(blocks[0].bins.size), ("R",))
     place, gain, _ = tool.step()
@@ -182,7 +182,7 @@ def test_the_search_for_a_step_looks_at_every_place() -> None:
 
 
 def test_the_search_for_cycles_needs_the_lowest_ordinates_only() -> None:
-    """Its gains are those of all ordinates to a few parts in a thousand."""
+    """Gains from the lowest ordinates agree with gains from all ordinates to 1 %."""
     blocks = _blocks(33)
     tool = Whitened.by(blocks, 1 + 30 / (1 + np.arange(blocks[0].bins.size)), ("R",))
     omega = 2 * np.pi * np.array([2.0, 7.7, 23.9]) / 4000
@@ -191,10 +191,10 @@ def test_the_search_for_cycles_needs_the_lowest_ordinates_only() -> None:
 
 
 @pytest.mark.parametrize("shape", [0.0, 1.0, 2.0])
-def test_false_steps_are_as_rare_as_the_chosen_level(shape: float) -> None:
-    """Of white noise, flicker and a walk: the gain that one in ten exceeds, of 200 draws of ordinates.
+def test_the_false_alarm_rate_of_steps_is_the_chosen_level(shape: float) -> None:
+    """The expected gain is the 90 % quantile of 200 draws, for white noise, flicker noise and a random walk.
 
-    In white noise the best place moves by leaps, so that it comes out lower.
+    In white noise the best place moves in jumps, so the quantile is lower.
     """
     n, rng = 4000, np.random.default_rng(34)
     theta = np.pi * np.arange(1, n) / n
@@ -211,8 +211,8 @@ def test_false_steps_are_as_rare_as_the_chosen_level(shape: float) -> None:
     assert expected - 4 < np.quantile(gains, 0.9) < expected + 1.5
 
 
-def test_a_weak_step_is_found_where_the_noise_leaves_few_places() -> None:
-    """Of 1e-4 in 33 min beside N = 1e-4, B = 1e-5, K = 1e-6: in most records, near its place."""
+def test_a_weak_step_is_found_near_its_place() -> None:
+    """Most records with a step of 1e-4 in 33 min of N = 1e-4, B = 1e-5, K = 1e-6 show it."""
     n, place = 200_000, 90_000
     model = NoiseModel.parse("N=1e-4 + B=1e-5 + K=1e-6")
     found = []
@@ -229,8 +229,8 @@ def test_a_weak_step_is_found_where_the_noise_leaves_few_places() -> None:
 @pytest.mark.parametrize(
     ("height", "before", "seed"), [(1e-2, 0, 41), (1e-2, 1, 42), (1e-2, 8, 43), (1e-2, 30, 44)]
 )
-def test_no_step_is_taken_out_twice(height: float, before: int, seed: int) -> None:
-    """A high step, alone or with a dip right before it: each is one step, at its sample."""
+def test_no_step_is_removed_twice(height: float, before: int, seed: int) -> None:
+    """A high step, alone or right after a dip, is reported once and at its sample."""
     samples = noise(seed)
     samples[21_337:] += height
     samples[21_337 - before : 21_337] -= height
@@ -239,10 +239,10 @@ def test_no_step_is_taken_out_twice(height: float, before: int, seed: int) -> No
     assert places == sorted({21_337 - before, 21_337})
     (finding,) = [finding for finding in fit.findings if finding.code == "step"]
     assert finding.text.count(" at ") == len(places)
-    assert as_without(fit, noise(seed))
+    assert agrees_with_undisturbed(fit, noise(seed))
 
 
-#: Shapes without a walk: warm-ups by their time constant as a part of the record, and slow cycles.
+#: Shapes without a random walk: warm-ups (time constant relative to the record) and slow cycles.
 SLOW_SHAPES = {
     "strong warm-up of a third": 1e-3 * np.exp(-3 * T / T[-1]),
     "weak warm-up of a half": 3e-4 * np.exp(-2 * T / T[-1]),
@@ -253,8 +253,8 @@ SLOW_SHAPES = {
 
 
 @pytest.mark.parametrize("name", SLOW_SHAPES)
-def test_a_slow_shape_is_not_shown_as_a_walk(name: str) -> None:
-    """Of 2 records without a walk none shows K, and all name the warm-up or the cycle."""
+def test_a_slow_shape_is_not_reported_as_a_random_walk(name: str) -> None:
+    """Two records without a random walk report no K, and both report the warm-up or the cycle."""
     for seed in (50, 51):
         fit = fitted(noise(seed, "N=1e-4") + SLOW_SHAPES[name], rate_hz=10.0)
         assert fit["K"].value is None
@@ -262,14 +262,14 @@ def test_a_slow_shape_is_not_shown_as_a_walk(name: str) -> None:
         assert codes & {"warm-up-fitted", "warm-up-doubtful", "cycle", "cycle-doubtful"}
 
 
-def test_a_walk_is_shown_although_a_warm_up_was_looked_for() -> None:
-    """Of 4 records with a walk at least 3 show K."""
+def test_a_random_walk_is_reported_despite_the_search_for_warm_ups() -> None:
+    """At least 3 of 4 records with a random walk report K."""
     fits = [fitted(noise(seed, "N=1e-4 + K=4e-6"), rate_hz=10.0) for seed in range(60, 64)]
     assert sum(fit["K"].value is not None for fit in fits) >= 3
 
 
-def test_a_doubtful_warm_up_names_both_readings() -> None:
-    """K may be zero, and the advice says what to do."""
+def test_the_finding_of_a_doubtful_warm_up_explains_both_readings() -> None:
+    """The lower limit of K is zero, and the advice suggests `--skip`."""
     fit = fitted(noise(70, "N=1e-4") + SLOW_SHAPES["weak warm-up of a half"], rate_hz=10.0)
     (finding,) = [finding for finding in fit.findings if finding.code == "warm-up-doubtful"]
     assert "warm-up" in finding.text
@@ -278,8 +278,8 @@ def test_a_doubtful_warm_up_names_both_readings() -> None:
     assert fit["K"].low == 0
 
 
-def test_gains_of_single_regressors_are_those_of_each_alone() -> None:
-    """A regressor that the fit already has gains nothing."""
+def test_gains_alone_agree_with_single_gains() -> None:
+    """The gain of a regressor that the fit already contains is zero."""
     blocks = _blocks(36)
     tool = Whitened.by(blocks, 1 + 30 / (1 + np.arange(blocks[0].bins.size)), ("R",))
     names = ["exp:80.0", "exp:900.0", "R"]

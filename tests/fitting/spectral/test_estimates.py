@@ -1,4 +1,4 @@
-"""From a maximum in scaled units to estimates in SI, with limits computed by hand."""
+"""Tests of the step from a maximum in scaled units to estimates in SI, with limits computed by hand."""
 
 from dataclasses import replace
 
@@ -25,13 +25,13 @@ from tests.fitting.fits import at_maximum, ordinates_of, simulated
 TAU0 = 0.25
 UNIT = 8.0
 STRUCTURE = ("Q", "N", "GM", "GM", "K", "R")
-#: Variances of Q, N, B and K, of two Gauss-Markov terms, and their correlation times in samples.
+#: Variances of Q, N, B and K and of two Gauss-Markov terms, and correlation times in samples.
 THETA = np.log(np.array([4.0, 9.0, 1.0, 16.0, 25.0, 36.0, 40.0, 10.0]))
 RAMP = 3.0
 
 
 def problem(**widening: float) -> Problem:
-    """Return what estimates are made with."""
+    """Return a problem with known units."""
     return Problem(
         ordinates=replace(ordinates_of(simulated("N=1", 100, 1)), scale=UNIT),
         level=0.9,
@@ -57,7 +57,7 @@ def found(
     monkeypatch: pytest.MonkeyPatch, below: float = 0.2, above: float = 0.4, *, lowest: float | None = None,
     beta: float = RAMP, **widening: float,
 ) -> dict[str, Estimate]:  # fmt: skip
-    """Return the estimates, where every limit lies so far below and above its parameter."""
+    """Return the estimates, where all limits are `below` and `above` their parameter."""
 
     def limits(_: object, fits: Fits, columns: FloatArray, **options: object) -> object:
         del options
@@ -71,7 +71,7 @@ def found(
 
 
 def test_a_coefficient_is_the_root_of_its_variance(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In SI, by the unit of a deviation per sample: times tau0, its root, 1, and over its root."""
+    """The factors to SI are tau0, its square root, 1, and the inverse square root."""
     table = found(monkeypatch)
     assert list(table) == ["Q", "N", "GM1", "GM2", "K", "R"]
     deviations = {"Q": 2 * TAU0, "N": 3 * TAU0**0.5, "GM1": 6.0, "GM2": 5.0, "K": 4 / TAU0**0.5}
@@ -84,7 +84,7 @@ def test_a_coefficient_is_the_root_of_its_variance(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_correlation_time_is_in_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its limits are those of its logarithm."""
+    """Its limits are computed in the logarithm."""
     for key, samples in (("GM1", 10.0), ("GM2", 40.0)):
         time = found(monkeypatch)[key].correlation_time
         assert time is not None
@@ -93,8 +93,10 @@ def test_a_correlation_time_is_in_seconds(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_ramp_has_a_size_and_the_model_its_sign(sign: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its limits are those of its size, the lower first."""
+def test_a_ramp_estimate_is_positive_and_the_model_keeps_its_sign(
+    sign: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The limits are for the absolute value, the lower first."""
     item = found(monkeypatch, 0.5, 1.0, beta=sign * RAMP)["R"]
     ends = (2.5, 4.0) if sign > 0 else (2.0, 3.5)
     expected = np.array([3.0, *ends]) * UNIT / TAU0
@@ -109,24 +111,24 @@ def test_a_ramp_has_a_size_and_the_model_its_sign(sign: int, monkeypatch: pytest
     ("beta", "below", "above", "high"),
     [(1.0, 3.0, 0.5, 2.0), (1.0, 1.5, 4.0, 5.0), (1.0, 1.0, 4.0, 5.0), (-1.0, 4.0, 1.0, 5.0)],
 )
-def test_a_ramp_whose_interval_holds_zero_is_bounded(
+def test_a_ramp_whose_interval_includes_zero_is_bounded(
     beta: float, below: float, above: float, high: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By the larger of its ends, on whichever side; an end at zero holds it."""
+    """The bound is the larger absolute end; an end at zero includes zero."""
     item = found(monkeypatch, below, above, beta=beta)["R"]
     assert (item.status, item.value, item.low) == ("bounded", None, 0.0)
     assert item.high == pytest.approx(high * UNIT / TAU0)
 
 
-def test_a_variance_that_may_vanish_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the coefficient of its upper limit."""
+def test_a_variance_that_may_be_zero_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bound is the coefficient of the upper limit."""
     item = found(monkeypatch, lowest=-np.inf)["N"]
     assert (item.status, item.value, item.low) == ("bounded", None, 0.0)
     assert item.high == pytest.approx(UNIT * 3 * TAU0**0.5 * np.exp(0.2))
 
 
 def test_an_interval_is_widened_in_logarithms(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the term that asks for it alone; the value stays."""
+    """Only the term with a factor is widened, and its value stays the same."""
     table, plain = found(monkeypatch, N=2.0), found(monkeypatch)
     assert table["N"].value == plain["N"].value
     assert table["N"].low == pytest.approx(UNIT * 3 * TAU0**0.5 * np.exp(-0.2))
@@ -139,7 +141,7 @@ def test_an_interval_is_widened_in_logarithms(monkeypatch: pytest.MonkeyPatch) -
 def test_limits_widen_with_fewer_ordinates(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Student's quantile with 2/variance degrees of freedom, ten at least; of times and ramps the normal."""
+    """Student's quantile has 2/variance degrees of freedom (at least 10); times and ramps use the normal."""
     seen: list[FloatArray] = []
 
     def limits(*_: object, reach: FloatArray, **options: object) -> tuple[FloatArray, FloatArray]:
@@ -148,14 +150,14 @@ def test_limits_widen_with_fewer_ordinates(
         return np.zeros(reach.size), np.zeros(reach.size)
 
     monkeypatch.setattr(estimates, "profile_limits", limits)
-    # The information of N is 4, of B 9, of K 16, of both sigmas 25 and 36: 2, 18, 32, 50, 72 of freedom.
+    # The information of N, B, K and both sigmas is 4, 9, 16, 25 and 36, so 2, 18, 32, 50 and 72 degrees.
     problem().limits(fit(structure=("N", "B", "GM", "GM", "K", "R")), [1, 2, 3, 4, 5, 6, RAMP_COLUMN])
     freedom = [10.0, 18.0, 32.0, 50.0, 72.0]
     npt.assert_allclose(seen[0], np.append(t.ppf(0.95, freedom), [norm.ppf(0.95)] * 2), rtol=1e-9)
 
 
 def test_misfit_factors_have_the_symbols_of_their_terms(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of two Gauss-Markov terms the larger; none below one; of N, B and K also where they are absent."""
+    """Two Gauss-Markov terms share the larger; factors are at least one; N, B and K are always included."""
     monkeypatch.setattr(estimates, "misfit_factors", lambda *_: np.array([1.5, 0.7, 2.0, 1.2, 1.1, 1.4]))
     bad, good = (Goodness(statistic=s, p_value=0.5, chi2_per_bin=1.0) for s in (3.0, 2.99))
     assert misfits_of(problem(), fit(), good) == {}
@@ -163,7 +165,7 @@ def test_misfit_factors_have_the_symbols_of_their_terms(monkeypatch: pytest.Monk
 
 
 def test_the_covariance_is_in_si(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the derivatives: half of a coefficient in its log variance, a time in its logarithm."""
+    """The derivatives are half of a coefficient per log variance, and a time per logarithm."""
     table = found(monkeypatch)
     names, matrix = covariance_of(problem(N=2.0), fit(), tuple(table.values()))
     assert names == ("Q", "N", "K", "GM1.sigma", "GM1.T", "GM2.sigma", "GM2.T", "R")
@@ -180,8 +182,9 @@ def test_the_covariance_is_in_si(monkeypatch: pytest.MonkeyPatch) -> None:
     npt.assert_allclose(matrix, np.diag([roots[name] ** 2 for name in names]), atol=1e-12)
 
 
-def test_terms_that_are_bounded_have_no_covariance(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nor are they in the model."""
+def test_bounded_terms_are_neither_in_the_covariance_nor_in_the_model(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     table = found(monkeypatch)
     table["N"] = Estimate.bounded("N", "N", 1.0)
     table["R"] = Estimate.bounded("R", "R", 1.0)
@@ -194,7 +197,7 @@ def test_terms_that_are_bounded_have_no_covariance(monkeypatch: pytest.MonkeyPat
 
 
 def test_correlated_parameters_stay_correlated() -> None:
-    """The inverse of the information, each row and column with its own derivative."""
+    """The covariance is the inverse of the information, scaled by the derivative of each row and column."""
     made = fit(np.log(np.array([1.0, 4.0, 1.0, 16.0])), ("N", "K"))
     information = made.information.copy()
     information[0, 1, 3] = information[0, 3, 1] = 4.0
@@ -202,12 +205,12 @@ def test_correlated_parameters_stay_correlated() -> None:
     n = Estimate(key="N", symbol="N", status="estimated", value=2.0, low=1.0, high=3.0)
     k = Estimate(key="K", symbol="K", status="estimated", value=6.0, low=1.0, high=9.0)
     _, matrix = covariance_of(problem(), made, (n, k))
-    # The information is [[4, 4], [4, 16]], its inverse [[16, -4], [-4, 4]] / 48; the derivatives are 1 and 3.
+    # The information [[4, 4], [4, 16]] has the inverse [[16, -4], [-4, 4]] / 48; the derivatives are 1, 3.
     npt.assert_allclose(matrix, [[16 / 48, -12 / 48], [-12 / 48, 36 / 48]])
 
 
-def test_gauss_markov_terms_are_named_by_rising_times() -> None:
-    """Variance and time go together; the power laws come first, and one term alone has no number."""
+def test_gauss_markov_terms_are_numbered_by_correlation_time() -> None:
+    """Variance and time stay together, power laws come first, and a single term has no number."""
     made = fit()
     assert made.columns() == [
         ("Q", 0), ("N", 1), ("K", 3), ("GM1.sigma", 5), ("GM1.T", 7), ("GM2.sigma", 4), ("GM2.T", 6),

@@ -1,4 +1,4 @@
-"""What a fit of the spectrum says, and when it says nothing."""
+"""Tests of the findings of a spectral fit, and of the choice of its candidates."""
 
 import numpy as np
 import numpy.testing as npt
@@ -55,15 +55,15 @@ def _band(fraction: float, order: Order, response: FloatArray) -> Band:
         ),
     ],
 )
-def test_at_most_four_lines_are_named(count: int, text: str | None) -> None:
-    """The others are counted; without a line nothing is said."""
+def test_at_most_four_lines_are_listed(count: int, text: str | None) -> None:
+    """Further lines are only counted; without lines there is no finding."""
     lines = tuple(Line(frequency_hz=float(k), amplitude=0.5 / k) for k in range(1, count + 1))
     assert [f.text for f in line_finding(lines, SERIES)] == ([] if text is None else [text])
 
 
-@pytest.mark.parametrize(("statistic", "said"), [(2.99, False), (3.0, True)])
-def test_a_misfit_is_reported_from_a_score_of_three(statistic: float, *, said: bool) -> None:
-    """With its mean squared residual and its score."""
+@pytest.mark.parametrize(("statistic", "reported"), [(2.99, False), (3.0, True)])
+def test_a_misfit_is_reported_from_a_score_of_three(statistic: float, *, reported: bool) -> None:
+    """The finding contains the mean squared residual and the score."""
     found = _misfit_findings(
         Goodness(statistic=statistic, p_value=0.1, chi2_per_bin=1.234),
         {"N": 1.3, "B": 2.0, "K": 1.0},
@@ -78,13 +78,13 @@ def test_a_misfit_is_reported_from_a_score_of_three(statistic: float, *, said: b
                 "N 1.3, B 2 times."
             )
         ]
-        if said
+        if reported
         else []
     )
 
 
-def test_points_beyond_the_band_and_the_filter_are_used() -> None:
-    """Averages over at least one period of what the fit saw; the edge counts."""
+def test_only_averaging_times_inside_the_fitted_band_are_used() -> None:
+    """An averaging time is used if it is at least one period of the highest fitted frequency."""
     m = np.array([1, 2, 4, 8])
     ones = np.ones(4)
     curve = AllanCurve(tau=m.astype(np.float64), m=m, avar=ones, edf=ones, n=100)
@@ -95,7 +95,7 @@ def test_points_beyond_the_band_and_the_filter_are_used() -> None:
 
 
 def test_behind_a_filter_every_candidate_has_white_noise_and_none_quantization() -> None:
-    """A given model is the only candidate, whatever the filter."""
+    """A given model remains the only candidate."""
     assert _structures(("B",), 1, white=True) == [("B",)]
     plain, filtered = (_structures(None, 1, white=f) for f in (False, True))
     assert any("Q" in s for s in plain)
@@ -103,8 +103,8 @@ def test_behind_a_filter_every_candidate_has_white_noise_and_none_quantization()
     assert {s for s in plain if "N" in s and "Q" not in s} == set(filtered)
 
 
-def test_the_richest_model_holds_every_candidate() -> None:
-    """And one Gauss-Markov term even where none is a candidate, for the band's sake."""
+def test_the_richest_model_contains_every_candidate() -> None:
+    """It always contains a Gauss-Markov term, because the search for the band needs one."""
     assert richest(None, 0) == ("Q", "N", "B", "GM", "K", "R")
     assert richest(None, 2) == ("Q", "N", "B", "GM", "GM", "K", "R")
     assert richest(("N", "K"), 2) == ("N", "B", "GM", "K")
@@ -127,10 +127,10 @@ def _behind(poles: FloatArray, zeros: int) -> Fits:
 @pytest.mark.parametrize(
     ("poles", "order", "kind", "fraction"),
     [
-        # 1 + a lam/4 = 2 where sin² = 1/a.
+        # 1 + a lam/4 = 2 at sin² = 1/a.
         ([4.0], (1, 0), "one-pole", 2 / np.pi * np.arcsin(0.5)),
         ([0.0, 16.0], (2, 0), "two-pole", 2 / np.pi * np.arcsin(0.5)),
-        # tan² = 1 at half of Nyquist: (1 - x) / (1 - x + x) is Butterworth's of order 1.
+        # tan² = 1 at half of Nyquist, and (1 - x) / (1 - x + x) is a Butterworth filter of order 1.
         ([0.0], (1, 1), "butterworth-1", 0.5),
         ([-2.0, 2.0], (2, 2), "butterworth-2", 0.5),
         ([3.0, 0.0], (2, 1), "two-pole one-zero", None),
@@ -139,7 +139,7 @@ def _behind(poles: FloatArray, zeros: int) -> Fits:
 def test_a_response_is_named_and_its_corner_found(
     poles: list[float], order: Order, kind: str, fraction: float | None
 ) -> None:
-    """To the step of 1/2000 of the band; the family by its shape."""
+    """The corner is exact to the grid's step, 1/2000 of the band; the shape determines the filter family."""
     response = np.array(poles)
     fitted = _behind(response, order[1])
     found = response_of(fitted, _band(1.0, order, response), RATE)
@@ -150,7 +150,7 @@ def test_a_response_is_named_and_its_corner_found(
 
 
 def test_a_response_without_a_corner_has_no_name() -> None:
-    """One of order 0, and one that never falls to a half."""
+    """Neither a response of order 0 nor one that never falls to half the power has a corner."""
     response = np.array([0.9])
     fitted = _behind(response, 0)
     assert response_of(fitted, _band(1.0, (1, 0), response), RATE) is None
@@ -210,7 +210,7 @@ def test_a_response_without_a_corner_has_no_name() -> None:
 def test_findings_about_a_filter(
     pole: float | None, fraction: float, order: Order, text: str | None, *, named: bool
 ) -> None:
-    """Nothing of a flat whole band; else its name, or what bends the spectrum, or where the fit ends."""
+    """A flat full band has no finding; other findings contain the filter, the shape or the band's end."""
     response = np.array([] if pole is None else [pole])
     fitted = _behind(response, 0)
     given = Response(kind="one-pole", cutoff_hz=12.5) if named else None

@@ -1,4 +1,4 @@
-"""Records with gaps."""
+"""Tests of spectral fits of records with gaps."""
 
 from collections import Counter
 
@@ -35,24 +35,24 @@ def with_gaps(kind: str, seed: int) -> FloatArray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["scattered", "bursts"])
-def test_intervals_hold_the_truth_with_samples_missing(kind: str) -> None:
-    """N and K are inside their intervals in most of twenty records, without bias."""
+def test_intervals_cover_the_truth_with_missing_samples(kind: str) -> None:
+    """N and K are unbiased, and their intervals have the nominal coverage in 20 records."""
     hits = np.zeros(2)
     errors = []
     for seed in range(20):
         result = fitted(series_of(with_gaps(kind, seed)), "N + K")
         hits += [result[k].low <= truth <= result[k].high for k, truth in (("N", 1.0), ("K", 1e-2))]
         errors.append([(result["N"].value or 0) - 1, 100 * (result["K"].value or 0) - 1])
-    # Three standard errors of a proportion of 0.95 in twenty.
+    # Three standard errors of a proportion of 0.95 in 20 records.
     assert np.all(hits / 20 >= 0.95 - 3 * np.sqrt(0.95 * 0.05 / 20))
-    # K's standard error is some 8 %, that of N some 0.7 %; four of them over the root of twenty.
+    # The standard errors of K and N are about 8 % and 0.7 %; the limit is four of them over sqrt(20).
     assert np.all(np.abs(np.mean(errors, axis=0)) < [0.006, 0.07])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.3, 0.5])
-def test_given_terms_hold_the_truth_if_many_samples_are_lost(share: float) -> None:
-    """Of 20 records, at most three standard errors below 95 %; no filter is found."""
+def test_intervals_of_a_given_model_cover_the_truth_with_many_lost_samples(share: float) -> None:
+    """The coverage in 20 records is at most three standard errors below 95 %, and no filter is found."""
     hits: Counter[str] = Counter()
     for seed in range(20):
         fit = fit_with_losses("N=0.1 + B=0.3 + K=0.05", share, (811, seed))
@@ -64,7 +64,7 @@ def test_given_terms_hold_the_truth_if_many_samples_are_lost(share: float) -> No
 
 @pytest.mark.parametrize(("share", "burst"), [(0.2, 1), (0.3, 3), (0.5, 1)])
 def test_many_lost_samples_neither_bias_n_nor_look_like_a_filter(share: float, burst: int) -> None:
-    """Radio logs lose that many, one by one or a few at a time."""
+    """Radio logs lose that many samples, singly or in short bursts."""
     n, errors, squares = 20_000, [], []
     for seed in range(4):
         samples = simulated("N=1 + B=0.3", n, 60 + seed)
@@ -80,8 +80,8 @@ def test_many_lost_samples_neither_bias_n_nor_look_like_a_filter(share: float, b
     assert np.mean(squares) < 1.15
 
 
-def test_long_gaps_part_blocks_and_short_ones_are_completed() -> None:
-    """One gap of 500 samples makes two blocks; ten single samples make none."""
+def test_long_gaps_separate_blocks_and_short_gaps_are_completed() -> None:
+    """One gap of 500 samples makes two blocks; ten single missing samples make none."""
     samples = simulated(TEXT, N, 1)
     samples[10_000:10_500] = np.nan
     samples[20_000:20_100:10] = np.nan
@@ -94,8 +94,8 @@ def test_long_gaps_part_blocks_and_short_ones_are_completed() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 64, 1000])
-def test_the_lowest_bins_hold_their_ordinates_and_no_more(count: int) -> None:
-    """At least as many ordinates as asked for, in whole bins, with all that belongs to them."""
+def test_the_lowest_bins_contain_only_their_own_ordinates(count: int) -> None:
+    """The part has at least the requested number of ordinates, in complete bins, with all their data."""
     samples = simulated(TEXT, N, 4)
     samples[::100] = np.nan
     (block,) = make_blocks(series_of(samples)).blocks
@@ -104,15 +104,15 @@ def test_the_lowest_bins_hold_their_ordinates_and_no_more(count: int) -> None:
     assert size >= count > size - part.bins.count[-1]
     npt.assert_array_equal(part.ordinates, block.ordinates[:size])
     for name in ("variance", "kept"):
-        whole, found = getattr(block, name), getattr(part, name)
-        assert (found is None) == (whole is None)
-        if whole is not None:
-            npt.assert_array_equal(found, whole[:size])
+        expected_part, found = getattr(block, name), getattr(part, name)
+        assert (found is None) == (expected_part is None)
+        if expected_part is not None:
+            npt.assert_array_equal(found, expected_part[:size])
     assert part.bins.n == block.bins.n
 
 
-def test_the_lowest_ordinates_end_where_a_bin_does() -> None:
-    """Whatever count is asked for: the first whole bins that hold it, also where a bin is wider."""
+def test_the_lowest_ordinates_end_at_the_end_of_a_bin() -> None:
+    """Any requested number is rounded up to complete bins, also where bins are wide."""
     bins = dct_bins(3000)
     block = Block(offset=0, bins=bins, ordinates=np.arange(2999.0))
     ends = bins.first + bins.count - 1
@@ -120,7 +120,7 @@ def test_the_lowest_ordinates_end_where_a_bin_does() -> None:
         assert block.lowest(count).ordinates.size == ends[ends >= count][0]
 
 
-def test_runs_that_are_too_short_are_left_out_and_counted() -> None:
+def test_short_runs_are_omitted_and_counted() -> None:
     """Thirty samples between two long gaps are not used."""
     samples = simulated(TEXT, 5000, 2)
     samples[1000:1500] = np.nan
@@ -130,8 +130,8 @@ def test_runs_that_are_too_short_are_left_out_and_counted() -> None:
     assert "30 samples in runs shorter than 64 are left out" in found.findings[0].text
 
 
-def test_refuses_a_record_of_fragments() -> None:
-    """Where no run is long enough the message says what was expected."""
+def test_a_record_of_fragments_is_rejected() -> None:
+    """If no run is long enough, the error states the required length."""
     samples = np.full(20_000, np.nan)
     for start in range(0, 20_000, 1000):
         samples[start : start + 30] = np.random.default_rng(start).standard_normal(30)
@@ -142,8 +142,8 @@ def test_refuses_a_record_of_fragments() -> None:
     )
 
 
-def test_many_long_gaps_are_no_hindrance() -> None:
-    """More long gaps than blocks are allowed: the shorter of them are completed."""
+def test_more_long_gaps_than_blocks_are_supported() -> None:
+    """The number of blocks is limited, so the shorter gaps are completed."""
     samples = simulated(TEXT, 60_000, 3)
     for start in range(500, 59_000, 1000):
         samples[start : start + 80] = np.nan
@@ -152,22 +152,22 @@ def test_many_long_gaps_are_no_hindrance() -> None:
 
 
 def test_a_record_without_gaps_has_no_finding() -> None:
-    """One block at place 0, and no finding."""
+    """The record is one block at offset 0."""
     found = make_blocks(series_of(simulated(TEXT, 1000, 5)))
     assert found.findings == ()
     assert [block.offset for block in found.blocks] == [0]
 
 
 @pytest.mark.parametrize(("length", "offsets"), [(64, [0]), (65, [0, 565])])
-def test_a_gap_of_more_than_64_samples_parts_blocks(length: int, offsets: list[int]) -> None:
-    """64 are completed; a block's place counts what is missing before it."""
+def test_a_gap_of_more_than_64_samples_separates_blocks(length: int, offsets: list[int]) -> None:
+    """Shorter gaps are completed; a block's offset includes the missing samples before it."""
     samples = simulated(TEXT, 2000, 6)
     samples[500 : 500 + length] = np.nan
     assert [block.offset for block in make_blocks(series_of(samples)).blocks] == offsets
 
 
-def test_one_missing_sample_is_spoken_of_as_one() -> None:
-    """And the runs are of 64 samples at least: exactly so many are used."""
+def test_the_finding_of_one_missing_sample_is_singular() -> None:
+    """A run of exactly 64 samples, the shortest allowed, is used."""
     samples = simulated(TEXT, 1064, 7)
     samples[10] = np.nan
     samples[500:1000] = np.nan
@@ -182,16 +182,16 @@ def test_one_missing_sample_is_spoken_of_as_one() -> None:
 
 @pytest.mark.parametrize(("blocks", "same"), [(4, True), (5, False), (48, False)])
 def test_many_blocks_have_wider_bins(blocks: int, *, same: bool) -> None:
-    """Up to four blocks those of a whole record; then 512 single ones and 192 an octave are shared."""
-    found, whole = _bins(20_000, blocks), dct_bins(20_000)
-    assert (found.size == whole.size) == same
+    """Up to four blocks have the usual bins; more blocks share 512 single bins and 192 per octave."""
+    found, expected_part = _bins(20_000, blocks), dct_bins(20_000)
+    assert (found.size == expected_part.size) == same
     if not same:
         expected = dct_bins(20_000, singles=max(16, 512 // blocks), per_octave=max(10, 192 // blocks))
         npt.assert_array_equal(found.first, expected.first)
 
 
-def test_at_most_48_blocks_and_the_longest_gaps_part_them() -> None:
-    """Of 60 gaps longer than 64 samples the 47 longest."""
+def test_at_most_48_blocks_are_separated_by_the_longest_gaps() -> None:
+    """Of 60 gaps longer than 64 samples, the 47 longest separate blocks."""
     lengths = np.random.default_rng(8).permutation(np.arange(65, 125))
     places = np.arange(200, 200 * 61, 200)
     samples = simulated(TEXT, 200 * 62, 8)
@@ -223,8 +223,8 @@ def test_at_most_48_blocks_and_the_longest_gaps_part_them() -> None:
         ),
     ],
 )
-def test_refuses_what_holds_no_noise(samples: FloatArray, text: str) -> None:
-    """Few samples, equal ones and a ramp, each by its name."""
+def test_samples_without_noise_are_rejected(samples: FloatArray, text: str) -> None:
+    """The error distinguishes few samples, equal samples and a ramp."""
     with pytest.raises(DataError) as caught:
         scale_of(series_of(samples))
     assert str(caught.value) == text
@@ -232,20 +232,20 @@ def test_refuses_what_holds_no_noise(samples: FloatArray, text: str) -> None:
 
 @pytest.mark.parametrize(("size", "scale"), [(1.0, 1.0), (1.4, 1.0), (1.5, 2.0), (3e-5, 2.0**-15)])
 def test_the_scale_is_the_power_of_two_nearest_to_the_steps(size: float, scale: float) -> None:
-    """Steps of that size up and down."""
+    """The samples alternate by steps of the given size."""
     assert scale_of(series_of(size * (np.arange(100.0) % 2))) == scale
 
 
-def test_a_bend_of_a_hundred_millionth_is_noise_and_one_of_a_hundredth_of_that_is_rounding() -> None:
-    """A ramp of steps of 1 with one sample off the line by so much."""
+def test_a_bend_of_1e_8_is_noise_and_of_1e_10_is_rounding() -> None:
+    """A ramp with steps of 1 has one sample off the line."""
     ramp = np.arange(100.0)
     assert scale_of(series_of(ramp + 1e-8 * (ramp == 50))) == 1.0
     with pytest.raises(DataError, match="are on one straight line"):
         scale_of(series_of(ramp + 1e-10 * (ramp == 50)))
 
 
-def test_the_longest_gaps_part_48_blocks_and_of_equal_ones_the_first() -> None:
-    """What lies behind the others is one block, its gaps completed: a limit for logs of regular dropouts."""
+def test_of_equally_long_gaps_the_first_separate_blocks() -> None:
+    """Logs with regular dropouts reach the limit: the rest of the record is one block with completed gaps."""
     samples = simulated(TEXT, 60 * 300, 8)
     for start in range(200, samples.size, 300):
         samples[start : start + 100] = np.nan
@@ -253,14 +253,14 @@ def test_the_longest_gaps_part_48_blocks_and_of_equal_ones_the_first() -> None:
     samples[50 * 300 + 180 : 50 * 300 + 300] = np.nan
     runs, lost = _runs(series_of(samples))
     assert (len(runs), lost) == (48, 0)
-    # The gap of 120 samples is the longest, so the first 46 of the others stay.
+    # The gap of 120 samples is the longest, so only the first 46 of the others separate blocks.
     assert [run.first for run in runs[:47]] == [300 * number for number in range(47)]
     assert runs[47].first == 51 * 300
 
 
 @pytest.mark.parametrize(("share", "level"), [(0.5, "info"), (0.7, "warning")])
-def test_many_completed_samples_are_a_warning(share: float, level: str) -> None:
-    """Intervals are too narrow then; samples missing in one long gap are not completed."""
+def test_many_completed_samples_raise_a_warning(share: float, level: str) -> None:
+    """The intervals are then too narrow; samples missing in a long gap are not completed."""
     samples = simulated("N=1", 8000, 71)
     lost = np.random.default_rng(72).random(samples.size) < share
     scattered = np.where(lost, np.nan, samples)

@@ -1,4 +1,4 @@
-"""The Gauss-Markov term in the DCT domain."""
+"""Tests of the Gauss-Markov term in the DCT domain."""
 
 import numpy as np
 import numpy.testing as npt
@@ -9,7 +9,7 @@ from imucal.noise.term import gauss_markov_dct
 
 
 @pytest.mark.parametrize("time", [0.5, 3.0, 40.0, 1000.0, 1e6])
-def test_expectation_is_that_of_the_dense_covariance(time: float) -> None:
+def test_the_expectation_agrees_with_the_dense_covariance(time: float) -> None:
     """E[X_k²] is the diagonal of C R C' for the AR1 covariance R, for any T/n."""
     n = 64
     lags = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
@@ -28,7 +28,7 @@ def test_expectation_is_that_of_the_dense_covariance(time: float) -> None:
 
 @pytest.mark.parametrize("time", [0.7, 20.0, 5000.0])
 def test_slope_is_the_derivative_in_log_time(time: float) -> None:
-    """Central differences of the expectation agree to their own accuracy."""
+    """The reference is a central difference of the expectation."""
     n, step = 256, 1e-5
     k = np.arange(1, n)
     lam = 4 * np.sin(np.pi * k / (2 * n)) ** 2

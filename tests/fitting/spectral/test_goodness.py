@@ -1,4 +1,4 @@
-"""Goodness of fit, tails, the exact likelihood."""
+"""Tests of goodness of fit, heavy tails and agreement with the exact likelihood."""
 
 import numpy as np
 import pytest
@@ -13,20 +13,20 @@ from tests.fitting.fits import fitted, ordinates_of, simulated
 from tests.fitting.state_space import distances
 
 
-def test_score_of_the_truth_is_standard_normal() -> None:
-    """Over many records of white noise its mean is 0 and its spread 1."""
+def test_the_score_of_the_true_model_is_standard_normal() -> None:
+    """Its mean is 0 and its standard deviation 1 over 300 records of white noise."""
     model = models_of([("N",)], ("R",))
     scores = []
     for seed in range(300):
         data = ordinates_of(np.random.default_rng(seed).standard_normal(3000))
         scores.append(misfit(data, evaluate(data, model, np.zeros((1, 4)))).statistic)
-    # Three standard errors of a mean and of a standard deviation; the sum is a little skew.
+    # Three standard errors of a mean and of a standard deviation; the sum is slightly skewed.
     assert np.mean(scores) == pytest.approx(0, abs=3 / np.sqrt(300))
     assert np.std(scores) == pytest.approx(1, abs=0.2)
 
 
-def test_a_wrong_model_is_found_out() -> None:
-    """White noise alone does not describe a random walk, and a finding says so."""
+def test_a_wrong_model_has_a_misfit() -> None:
+    """White noise and quantization do not describe a Gauss-Markov term."""
     result = fitted(simulated("N=1 + GM(sigma=2, T=30)", 20_000, 1), "N + Q")
     assert result.goodness.statistic > 3
     assert result.goodness.p_value < 0.01
@@ -35,7 +35,7 @@ def test_a_wrong_model_is_found_out() -> None:
     assert "does not describe this axis" in texts[0]
 
 
-def test_normal_tails_widen_nothing() -> None:
+def test_normal_tails_do_not_widen_n() -> None:
     """The factor is exactly 1 unless the tails are heavier than chance."""
     assert heavy_tails(np.random.default_rng(1).standard_normal(20_000)) == 1.0
 
@@ -47,20 +47,19 @@ def test_heavy_tails_widen_n() -> None:
 
 
 @pytest.mark.slow
-def test_n_of_laplace_noise_is_covered() -> None:
-    """The 95 % interval of N holds the truth with heavy tails too."""
+def test_the_interval_of_n_covers_laplace_noise() -> None:
     hits = 0
     for seed in range(60):
         samples = np.random.default_rng(seed).laplace(size=4000) / np.sqrt(2)
         result = fitted(samples, "N")
         hits += result["N"].low <= 1 <= result["N"].high
-    # Three standard errors of a proportion of 0.95 in sixty.
+    # Three standard errors of a proportion of 0.95 in sixty records.
     assert hits / 60 >= 0.95 - 3 * np.sqrt(0.95 * 0.05 / 60)
 
 
 @pytest.mark.parametrize("text", ["N=1 + K=0.02", "Q=2 + N=1 + K=0.02", "N=1 + GM(sigma=0.5, T=50)"])
-def test_maximum_is_that_of_the_exact_likelihood(text: str) -> None:
-    """The state-space likelihood's maximum is within a tenth of a standard error of it."""
+def test_the_maximum_agrees_with_the_exact_likelihood(text: str) -> None:
+    """The maximum of the state-space likelihood is within 0.1 standard errors, or 0.2 with GM."""
     samples = simulated(text, 20_000, 5)
     structure = " + ".join(part.split("=")[0].split("(")[0] for part in text.split(" + "))
     result = fitted(samples, structure)

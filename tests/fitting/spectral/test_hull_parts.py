@@ -1,4 +1,4 @@
-"""The parts of an interval after the choice: the near models, their weights, and the terms named."""
+"""Tests of the parts of an interval after selection: near models, their weights and alternative terms."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -25,7 +25,7 @@ PROBLEM = Problem(
 
 
 def _ranked(structures: list[Structure], criterion: list[float], fit: list[float]) -> RankedModels:
-    """Return models by criterion; `fit` is twice the sum of objective and number of parameters."""
+    """Return models ranked by criterion; `fit` is twice the sum of objective and number of parameters."""
     models = models_of(structures, ("R",))
     objective = np.array(fit) / 2 - models.parameters
     fits = at_maximum(np.zeros((models.count, models.width)), models=models, objective=objective)
@@ -52,10 +52,10 @@ def _alternative(weight: float, *terms: Estimate) -> bounds.Alternative:
     ("distance", "weight", "level"),
     [(0.0, 1.0, 0.9545), (6.0, 1.0, 0.9545), (7.5, 0.5, 0.6827), (8.0, 1 / 3, 0.4950), (8.999, 0.0, 0.0)],
 )
-def test_a_model_has_less_weight_the_farther_it_is(
+def test_the_weight_of_a_model_decreases_with_its_distance(
     monkeypatch: pytest.MonkeyPatch, distance: float, weight: float, level: float
 ) -> None:
-    """Two standard errors up to 6 from the best; one halfway to 9, two thirds of one at 8, none at 9."""
+    """Up to 6 from the best the limits have two standard errors; at 7.5 one, at 8 two thirds, at 9 none."""
     levels = []
 
     def estimates_of(problem: Problem, _: Fits) -> tuple[Estimate, ...]:
@@ -70,7 +70,7 @@ def test_a_model_has_less_weight_the_farther_it_is(
 
 
 def _completions(monkeypatch: pytest.MonkeyPatch, choice: RankedModels) -> list[tuple[float, str]]:
-    """Return the distance of each completion, and its terms in the order in which they came."""
+    """Return the distance and the terms of each completion, in the order of addition."""
 
     def model(structure: Structure) -> SimpleNamespace:
         return SimpleNamespace(structure=structure, missing=[s for s in ALWAYS if s not in structure])
@@ -81,7 +81,7 @@ def _completions(monkeypatch: pytest.MonkeyPatch, choice: RankedModels) -> list[
 
 
 def test_models_nearer_than_9_are_completed_once_each(monkeypatch: pytest.MonkeyPatch) -> None:
-    """N, N + B and N + B + K have one completion, that of the nearest; at 9 a model is not looked at."""
+    """N, N + B and N + B + K share the completion of the nearest; a model at 9 is ignored."""
     structures: list[Structure] = [("N", "B"), ("N",), ("Q", "N"), ("N", "B", "K"), ("N", "GM"), ("N", "R")]
     choice = _ranked(structures, [10.0, 11.0, 12.5, 13.0, 18.9, 19.0], [0.0] * 6)
     assert _completions(monkeypatch, choice) == [
@@ -91,8 +91,8 @@ def test_models_nearer_than_9_are_completed_once_each(monkeypatch: pytest.Monkey
     ]
 
 
-def test_sixteen_models_at_most_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The seventeenth is as near, and is not."""
+def test_at_most_sixteen_models_are_completed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The seventeenth is ignored although it is equally near."""
     structures: list[Structure] = [("N", *["GM"] * count) for count in range(18)]
     found = _completions(monkeypatch, _ranked(structures, [0.0] * 18, [0.0] * 18))
     assert [text.count("GM") for _, text in found] == list(range(16))
@@ -101,29 +101,29 @@ def test_sixteen_models_at_most_are_looked_at(monkeypatch: pytest.MonkeyPatch) -
 @pytest.mark.parametrize(
     ("structures", "fit", "named"),
     [
-        # Either is there, and each is missing somewhere.
+        # Each is in one model and missing in the other.
         ([("N", "B"), ("N", "K")], [0.0, 4.0], {"B": ("K",), "K": ("B",)}),
-        # The second is too far to count.
+        # The second model is too far away.
         ([("N", "B"), ("N", "K")], [0.0, 4.1], {}),
-        # The third has neither.
+        # The third model has neither.
         ([("N", "B"), ("N", "K"), ("N",)], [0.0, 1.0, 2.0], {}),
-        # B is in all of them: it stands for itself.
+        # B is in both models, so K does not replace it.
         ([("N", "B"), ("N", "B", "K")], [0.0, 1.0], {}),
         ([("N", "GM"), ("N", "B", "K")], [3.0, 0.0], {"B": ("GM",), "K": ("GM",), "GM": ("B", "K")}),
-        # The nearest by likelihood counts, wherever the criterion has it.
+        # The nearest by likelihood counts, whatever its rank by the criterion.
         ([("N",), ("N", "B"), ("N", "K")], [9.0, 2.0, 0.0], {"B": ("K",), "K": ("B",)}),
     ],
 )
-def test_a_term_that_another_may_replace_is_named(
+def test_replaceable_terms_are_listed_with_their_replacements(
     structures: list[Structure], fit: list[float], named: dict[str, tuple[str, ...]]
 ) -> None:
-    """Every model within 4 of the best likelihood has one of the two, and neither is in all of them."""
+    """Every model within 4 of the best likelihood has one of the two terms; neither term is in all models."""
     found = bounds._alternatives(_ranked(structures, [0.0] * len(fit), fit))
     assert {symbol: others for symbol, others in found.items() if others} == named
 
 
-def test_an_interval_reaches_from_the_lowest_limit_to_the_highest() -> None:
-    """And holds the value of the chosen model; correlation times likewise."""
+def test_an_interval_spans_the_lowest_to_the_highest_limit() -> None:
+    """It includes the chosen model's value; the same applies to correlation times."""
     own = _estimate("GM", 2.0, 3.0, 4.0, Interval(value=10.0, low=8.0, high=12.0))
     others = [
         _estimate("GM", 1.0, 1.5, 2.0, Interval(value=9.0, low=7.0, high=11.0)),
@@ -135,8 +135,8 @@ def test_an_interval_reaches_from_the_lowest_limit_to_the_highest() -> None:
     assert bounds._hull(own, []) is own
 
 
-def test_a_term_that_one_model_does_not_show_is_bounded() -> None:
-    """By the highest limit of all, though the chosen model shows it."""
+def test_a_term_that_one_model_excludes_is_bounded() -> None:
+    """The bound is the highest limit of all models, although the chosen model estimates the term."""
     own = _estimate("B", 2.0, 3.0, 4.0)
     for weight in (1.0, 0.1):
         found = bounds._hull(own, [(1.0, own), (weight, Estimate.bounded("B", "B", 5.0))])
@@ -144,8 +144,8 @@ def test_a_term_that_one_model_does_not_show_is_bounded() -> None:
 
 
 @pytest.mark.parametrize(("weight", "low"), [(0.25, 1.5), (0.75, 0.5), (0.99, None), (1.0, None)])
-def test_a_walk_is_bounded_by_a_model_of_full_weight_only(weight: float, low: float | None) -> None:
-    """One that is farther draws its lower limit towards zero, as much as its weight."""
+def test_a_random_walk_is_bounded_only_by_a_model_of_full_weight(weight: float, low: float | None) -> None:
+    """A model of smaller weight lowers the limit in proportion to its weight."""
     own, zero = _estimate("K", 2.0, 3.0, 4.0), Estimate.bounded("K", "K", 5.0)
     found = bounds._hull(own, [(1.0, own), (weight, zero)])
     assert found == (Estimate.bounded("K", "K", 5.0) if low is None else _estimate("K", low, 3.0, 5.0))
@@ -153,15 +153,15 @@ def test_a_walk_is_bounded_by_a_model_of_full_weight_only(weight: float, low: fl
     assert _alternative(weight, replace(zero, key="B")).excludes("B")
 
 
-@pytest.mark.parametrize(("low", "shown"), [(0.079, False), (0.081, True)])
-def test_a_limit_that_is_printed_as_zero_is_zero(low: float, *, shown: bool) -> None:
-    """Less than a fiftieth of the upper one: ``34 [0, 77]`` would mean that K is there and that it is not."""
+@pytest.mark.parametrize(("low", "reported"), [(0.079, False), (0.081, True)])
+def test_a_limit_that_is_printed_as_zero_is_zero(low: float, *, reported: bool) -> None:
+    """The threshold is 1/50 of the upper limit: a printed ``34 [0, 77]`` would contradict an estimated K."""
     own = _estimate("K", low, 2.0, 4.0)
-    assert (bounds._hull(own, [(1.0, own)]).value is not None) == shown
+    assert (bounds._hull(own, [(1.0, own)]).value is not None) == reported
 
 
-def test_terms_other_than_n_b_and_k_are_compared_among_equals() -> None:
-    """GM1 of two is another thing than GM of one; N is N in every model."""
+def test_gauss_markov_terms_are_only_compared_with_the_same_number_of_them() -> None:
+    """GM1 of two terms is not comparable with a single GM; N is comparable in all models."""
     n, one, first, second = (_estimate(key, 1.0, 2.0, 3.0) for key in ("N", "GM", "GM1", "GM2"))
     models = [_alternative(1.0, n, one), _alternative(0.5, n, first, second), _alternative(0.2, n)]
     assert bounds._span("N", {"N": n, "GM": one}, models) == [(1.0, n), (0.5, n), (0.2, n)]
@@ -169,10 +169,10 @@ def test_terms_other_than_n_b_and_k_are_compared_among_equals() -> None:
 
 
 @pytest.mark.parametrize(("shown", "added"), [({"N", "B"}, "B"), ({"B", "K"}, "BK")])
-def test_the_drawn_model_gains_what_is_shown_and_keeps_what_it_lost(
+def test_the_drawn_model_contains_the_reported_terms(
     monkeypatch: pytest.MonkeyPatch, shown: set[str], added: str
 ) -> None:
-    """What is printed adds up to the line; a Gauss-Markov term that was dropped does not come back."""
+    """The reported terms add up to the drawn curve; a dropped Gauss-Markov term is not added again."""
 
     def add(_: Problem, model: Fits, symbol: str) -> Fits:
         return cast("Fits", SimpleNamespace(structure=(*model.structure, symbol)))

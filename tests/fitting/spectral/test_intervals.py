@@ -1,4 +1,4 @@
-"""Profile-likelihood intervals cover, also at the boundary."""
+"""Tests of the coverage of profile-likelihood intervals, also at the boundary."""
 
 import numpy as np
 import pytest
@@ -23,8 +23,8 @@ SLACK = 3 * np.sqrt(0.95 * 0.05 / REPEATS)
         pytest.param("Q=2 + N=1", "Q + N", marks=pytest.mark.slow),
     ],
 )
-def test_intervals_hold_the_truth(text: str, model: str) -> None:
-    """Of many 95 % intervals of each parameter, 95 % hold the truth within chance."""
+def test_intervals_have_the_nominal_coverage(text: str, model: str) -> None:
+    """95 % intervals of each parameter cover the truth in 95 % of the records, within chance."""
     hits: dict[str, int] = {}
     for seed in range(REPEATS):
         result = estimated(simulated(text, 2000, seed), model)
@@ -42,21 +42,21 @@ def test_intervals_hold_the_truth(text: str, model: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_bound_holds_a_truth_that_is_too_small_to_see() -> None:
-    """K below what the record can tell: its interval from 0 holds it in 95 % of records or more."""
-    truth, held, bounded = 2e-3, 0, 0
+def test_a_bound_covers_an_undetectable_term() -> None:
+    """K is below the detection limit: its interval from 0 covers it in at least 95 % of the records."""
+    truth, covered, bounded = 2e-3, 0, 0
     for seed in range(REPEATS):
         result = estimated(simulated(f"N=1 + K={truth}", 2000, seed), "N + K")
-        held += result["K"].low <= truth <= result["K"].high
+        covered += result["K"].low <= truth <= result["K"].high
         bounded += result["K"].status == "bounded"
-    # The likelihood ratio at a boundary is at most that of chi-squared: conservative.
-    assert held / REPEATS >= 0.95 - SLACK
+    # The likelihood ratio at a boundary is at most chi-squared, so the bound is conservative.
+    assert covered / REPEATS >= 0.95 - SLACK
     assert bounded > REPEATS / 2
 
 
 @pytest.mark.slow
-def test_white_noise_shows_no_b_and_no_k() -> None:
-    """A wrong B or K is found in at most 5 % of records, of any model that is chosen."""
+def test_white_noise_has_no_false_b_or_k() -> None:
+    """At most 5 % of the records select B or K."""
     wrong = 0
     for seed in range(100):
         data = ordinates_of(simulated("N=1", 3000, seed))
@@ -66,7 +66,7 @@ def test_white_noise_shows_no_b_and_no_k() -> None:
 
 
 def test_a_higher_level_widens_every_interval() -> None:
-    """The 68 % interval lies inside the 99 % one."""
+    """The 68 % interval is inside the 99 % interval."""
     samples = simulated("N=1 + B=0.2 + K=0.01", 20_000, 1)
     narrow, wide = (fitted(samples, "N + B + K", level=level) for level in (0.68, 0.99))
     for inner, outer in zip(narrow.estimates, wide.estimates, strict=True):

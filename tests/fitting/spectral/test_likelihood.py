@@ -1,4 +1,4 @@
-"""The likelihood of many candidates, its score and its information."""
+"""Tests of the likelihood of many candidates, its score and its information."""
 
 from dataclasses import replace
 from typing import Any
@@ -23,7 +23,7 @@ def ordinates(n: int = 600, text: str = "N=1 + B=0.3 + K=0.05", seed: int = 1) -
 
 
 def rich() -> tuple[Models, FloatArray]:
-    """Three candidates of different make, and parameters that are no maximum."""
+    """Return three candidates of different structure with parameters away from the maximum."""
     candidates = models_of(
         [("Q", "N", "B", "GM", "GM", "K", "R"), ("N", "GM", "K"), ("N", "B", "R")],
         ("R",),
@@ -49,7 +49,7 @@ def test_score_is_the_gradient_of_the_objective() -> None:
         numeric = (evaluate(data, candidates, up).objective - evaluate(data, candidates, down).objective) / (
             2 * step
         )
-        # Differences of objectives near 1e3 keep 1e-13 of them: 1e-5 of the slope.
+        # Differences of objectives near 1e3 are exact to 1e-13 of them, or 1e-5 of the slope.
         npt.assert_allclose(score[:, column], numeric, rtol=1e-4, atol=1e-4)
 
 
@@ -85,7 +85,7 @@ def test_information_is_the_expected_curvature() -> None:
 
 
 def dense_objective(samples: FloatArray, white: float, walk: float) -> float:
-    """-log L of the steps of white noise plus random walk, from their dense covariance."""
+    """Return -log L of the steps of white noise plus random walk, from their dense covariance."""
     steps = np.diff(samples)
     size = steps.size
     matrix = (2 * white + walk) * np.eye(size) - white * (np.eye(size, k=1) + np.eye(size, k=-1))
@@ -94,8 +94,8 @@ def dense_objective(samples: FloatArray, white: float, walk: float) -> float:
 
 
 @pytest.mark.parametrize("walk", [0.0, 1e-4, 0.3, 10.0])
-def test_is_the_exact_likelihood_of_white_noise_and_random_walk(walk: float) -> None:
-    """Differences of -log L are those of the dense normal density, to rounding."""
+def test_likelihood_of_white_noise_and_random_walk_is_exact(walk: float) -> None:
+    """Differences of -log L agree with the dense normal density to rounding."""
     samples = NoiseModel.parse("N=1 + K=0.2").simulate(100, rate_hz=1.0, rng=np.random.default_rng(2))
     data = ordinates_of(samples)
     candidate = models_of([("N", "K")], data.names)
@@ -109,8 +109,8 @@ def test_is_the_exact_likelihood_of_white_noise_and_random_walk(walk: float) -> 
     assert difference == pytest.approx(dense, rel=1e-9)
 
 
-def test_ramp_is_the_generalised_least_squares_solution() -> None:
-    """Beta of white noise is the slope of an ordinary straight-line fit."""
+def test_ramp_agrees_with_least_squares() -> None:
+    """In white noise, beta is the slope of an ordinary straight-line fit."""
     samples = np.random.default_rng(4).standard_normal(90) + 0.02 * np.arange(90)
     data = ordinates_of(samples)
     candidate = models_of([("N", "R")], data.names)
@@ -120,8 +120,8 @@ def test_ramp_is_the_generalised_least_squares_solution() -> None:
     assert found.beta_covariance[0, 0, 0] == pytest.approx(1 / (centred @ centred), rel=1e-9)
 
 
-def test_a_held_ramp_costs_what_it_should() -> None:
-    """Held at its solution the ramp changes nothing; held one standard error away it costs 1/2."""
+def test_a_fixed_ramp_adds_half_its_squared_deviation() -> None:
+    """The objective increases by 1/2 if the ramp is fixed one standard error from its estimate."""
     data = ordinates(text="N=1 + R=0.01")
     candidate = models_of([("N", "R")], data.names)
     free = evaluate(data, candidate, np.zeros((1, 4)))
@@ -131,15 +131,15 @@ def test_a_held_ramp_costs_what_it_should() -> None:
 
 
 def test_a_response_that_is_not_positive_has_no_likelihood() -> None:
-    """The objective is infinite, so that no search goes there."""
+    """The objective is infinite, so the search avoids such parameters."""
     data = ordinates()
     candidate = models_of([("N",)], data.names, poles=1)
     theta = np.array([[0.0, 0.0, 0.0, 0.0, -1.5]])
     assert evaluate(data, candidate, theta).objective[0] == np.inf
 
 
-def test_columns_that_a_candidate_does_not_use_change_nothing() -> None:
-    """One pole and one Gauss-Markov term in wider rooms, whatever stands in the others' columns."""
+def test_unused_parameters_of_a_candidate_have_no_effect() -> None:
+    """A candidate has the same likelihood with extra columns of arbitrary values."""
     data = ordinates()
     own = models_of([("N", "GM")], data.names, poles=1)
     pair = models_of([("N", "GM"), ("N", "GM", "GM")], data.names, poles=1, room_poles=3)
@@ -152,7 +152,7 @@ def test_columns_that_a_candidate_does_not_use_change_nothing() -> None:
 
 
 def test_a_mixture_of_one_spectrum_ends_at_its_mean_ratio() -> None:
-    """Of a single weight: sum of P/S over all ordinates, by their number; with exponent 1 at once."""
+    """The weight is the sum of P/S divided by the number of ordinates; exponent 1 needs one round."""
     data = ordinates(text="N=2")
     for law in range(4):
         expected = (data.power / data.basis[law]).sum() / data.size.sum()
@@ -164,8 +164,8 @@ def test_a_mixture_of_one_spectrum_ends_at_its_mean_ratio() -> None:
         assert objective[0] == pytest.approx(terms.sum() / 2)
 
 
-def test_correlation_times_begin_at_the_shortest_and_end_at_a_sixth_of_the_record() -> None:
-    """Never below 2 samples; sixteen of them, evenly in log; a narrow band sees no short ones."""
+def test_correlation_times_end_at_a_sixth_of_the_record() -> None:
+    """Sixteen times, evenly spaced in log, start at 2 samples or more; a narrow band excludes short times."""
     data = ordinates()
     highest = float(data.fraction.max())
     times = time_grid(data, 10.0)
@@ -177,7 +177,7 @@ def test_correlation_times_begin_at_the_shortest_and_end_at_a_sixth_of_the_recor
 
 
 def test_coarser_bins_are_sums_and_weighted_means_of_the_finer() -> None:
-    """Of each of two blocks the first twelve as they are, then six into one; a sign is of single bins."""
+    """The first twelve bins of a block are kept, then six are merged into one; merged bins have no sign."""
     parts = [ordinates(600), ordinates(400, seed=2)]
     joined: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts], axis=-1)
@@ -203,8 +203,8 @@ def test_coarser_bins_are_sums_and_weighted_means_of_the_finer() -> None:
     npt.assert_array_equal(np.unique(found.length), [400.0, 600.0])
 
 
-def test_coarser_bins_of_many_blocks_are_as_few_as_those_of_two() -> None:
-    """In order of their frequencies, with nothing lost: a start takes no longer for a log with gaps."""
+def test_the_number_of_coarser_bins_does_not_grow_with_gaps() -> None:
+    """Bins of many blocks are merged by frequency without loss, so gaps do not slow the start down."""
     parts = [ordinates(500, seed=seed) for seed in range(7)]
     joined: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts], axis=-1)
@@ -219,8 +219,8 @@ def test_coarser_bins_of_many_blocks_are_as_few_as_those_of_two() -> None:
     assert found.power.sum() == pytest.approx(data.power.sum())
 
 
-def test_a_narrower_band_holds_the_bins_up_to_its_end() -> None:
-    """The end counts; empty bins don't; `top` is where the band ends."""
+def test_a_narrower_band_keeps_the_bins_up_to_its_end() -> None:
+    """The bin at the end is kept, empty bins are dropped, and `top` is the end of the band."""
     data = ordinates()
     fraction = float(data.fraction[40])
     size = data.size.copy()
@@ -231,8 +231,8 @@ def test_a_narrower_band_holds_the_bins_up_to_its_end() -> None:
     assert found.top == pytest.approx(data.lam[40], rel=1e-6)
 
 
-def test_a_rough_ramp_is_taken_out_of_the_power() -> None:
-    """The slope by least squares with weights lam; no bin is left without power."""
+def test_a_preliminary_ramp_is_removed_from_the_power() -> None:
+    """The slope is a least-squares fit with weights lam, and every bin keeps positive power."""
     data = ordinates(text="N=1 + R=0.1")
     slope = (data.cross[0] @ data.lam) / (data.gram[0, 0] @ data.lam)
     rest = data.power - 2 * slope * data.cross[0] + slope**2 * data.gram[0, 0]
@@ -245,14 +245,16 @@ def test_a_rough_ramp_is_taken_out_of_the_power() -> None:
 def test_more_than_two_gauss_markov_terms_start_evenly_over_the_grid(
     count: int, places: tuple[int, ...]
 ) -> None:
-    """One start, from the first to the last of 16 times; of one or two terms every pair of them."""
+    """They have one start, from the first to the last of 16 times; two terms start at every pair."""
     assert _combinations(count) == [places]
     assert [len(_combinations(few)) for few in range(3)] == [1, 16, 120]
 
 
 @pytest.mark.parametrize("quick", [False, True])
-def test_the_best_starts_are_those_of_all_rounds(monkeypatch: pytest.MonkeyPatch, *, quick: bool) -> None:
-    """A candidate's best few after the first rounds hold its best after all."""
+def test_the_best_starts_are_found_in_the_first_rounds(
+    monkeypatch: pytest.MonkeyPatch, *, quick: bool
+) -> None:
+    """A candidate's best starts after the first rounds include its best after all rounds."""
     text = "N=1 + GM(sigma=0.3, T=20) + GM(sigma=0.2, T=900) + K=3e-4"
     data = coarser(ordinates(n=40_000, text=text, seed=8123), singles=48, merge=3)
     candidates = models_of([("N", "GM", "K"), ("N", "GM", "GM"), ("N", "B", "GM", "GM", "R")], data.names)

@@ -1,4 +1,4 @@
-"""Spectral lines."""
+"""Tests of the search for spectral lines."""
 
 import numpy as np
 import pytest
@@ -17,8 +17,8 @@ def noise(seed: int) -> np.typing.NDArray[np.float64]:
 
 
 @pytest.mark.parametrize(("place", "amplitude"), [(0.0123, 0.2), (0.2, 0.1), (0.4321, 1.0)])
-def test_finds_frequency_and_amplitude(place: float, amplitude: float) -> None:
-    """The strongest line is the sine that was added, to a few parts in a hundred."""
+def test_frequency_and_amplitude_are_found(place: float, amplitude: float) -> None:
+    """The strongest line is the added sine; its amplitude is right to 10 %."""
     samples = noise(1) + amplitude * np.sin(2 * np.pi * place * np.arange(N) + 0.4)
     kept, lines = find_lines(dct_ordinates(samples), dct_bins(N), scale=2.0, rate_hz=100.0)
     assert kept is not None
@@ -27,8 +27,8 @@ def test_finds_frequency_and_amplitude(place: float, amplitude: float) -> None:
 
 
 @pytest.mark.parametrize("edge", ["first", "last"])
-def test_a_single_ordinate_is_left_out_with_its_neighbours(edge: str) -> None:
-    """At the first and at the last ordinate of a bin; X_k lies at k/(2 N) of the rate, to the digit."""
+def test_a_single_ordinate_is_omitted_with_its_neighbours(edge: str) -> None:
+    """The line is at the first or last ordinate of a bin; X_k is exactly at k/(2 N) of the rate."""
     bins = dct_bins(N)
     at = int(np.searchsorted(bins.first, 5000))
     k = int(bins.first[at]) if edge == "first" else int(bins.first[at] + bins.count[at] - 1)
@@ -39,14 +39,14 @@ def test_a_single_ordinate_is_left_out_with_its_neighbours(edge: str) -> None:
     assert kept is not None
     assert line.frequency_hz == pytest.approx(100 * k / (2 * N), rel=1e-12)
     assert line.amplitude == pytest.approx(1000 * np.sqrt(2 / N), rel=1e-3)
-    # The tail of so strong a line is longer than the 2 % of its frequency that may be left out.
+    # The tail of such a strong line is longer than the permitted 2 % of its frequency.
     reach = int(0.02 * (k - 1))
     assert np.flatnonzero(~kept).tolist() == list(range(k - 1 - reach, k + reach))
 
 
 @pytest.mark.parametrize(("k", "first"), [(48, None), (49, 49), (51, 49), (60, 57)])
-def test_the_lowest_48_ordinates_stay(k: int, first: int | None) -> None:
-    """The 49th is the first that a line may take, and its neighbours on the left stay as well."""
+def test_the_lowest_48_ordinates_are_kept(k: int, first: int | None) -> None:
+    """A line may start at the 49th ordinate, and its left neighbours below are kept."""
     ordinates = np.random.default_rng(4).standard_normal(N - 1)
     ordinates[k - 1] = 1000.0
     kept, lines = find_lines(ordinates, dct_bins(N), scale=1.0, rate_hz=1.0)
@@ -57,14 +57,13 @@ def test_the_lowest_48_ordinates_stay(k: int, first: int | None) -> None:
         assert (np.flatnonzero(~kept) + 1).tolist() == list(range(first, k + 4))
 
 
-def test_finds_none_in_noise() -> None:
-    """One record in a hundred may show a line that is not there; of thirty at most two."""
+def test_noise_has_no_lines() -> None:
+    """The false alarm rate is 1 % per record, so at most 2 of 30 records may have one."""
     found = [find_lines(dct_ordinates(noise(s)), dct_bins(N), scale=1.0, rate_hz=1.0)[0] for s in range(30)]
     assert sum(kept is not None for kept in found) <= 2
 
 
-def test_never_takes_the_lowest_ordinates() -> None:
-    """A strong drift is not a line."""
+def test_a_strong_drift_is_not_a_line() -> None:
     samples = noise(2) + 1e-2 * np.arange(N)
     kept, _ = find_lines(dct_ordinates(samples), dct_bins(N), scale=1.0, rate_hz=1.0)
     assert kept is None or kept[:48].all()
@@ -73,25 +72,25 @@ def test_never_takes_the_lowest_ordinates() -> None:
 def _level_of(
     square: FloatArray, bins: DctBins, kept: BoolArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the level about each bin, and how sure it is, of the squares that are kept."""
+    """Return the level near each bin and its precision, from the kept squares."""
     weight = np.ones(square.size) if kept is None else kept.astype(np.float64)
     starts = bins.first - 1
     return _level(np.add.reduceat(square * weight, starts), np.add.reduceat(weight, starts), bins)
 
 
-def test_the_level_is_as_sure_as_half_the_ordinates_it_is_made_of() -> None:
-    """Seventeen neighbouring bins; of single ordinates at first, of more than a hundred at the end."""
+def test_the_precision_of_the_level_is_half_its_number_of_ordinates() -> None:
+    """The level uses 17 adjacent bins: single ordinates at first, more than a hundred at the end."""
     bins = dct_bins(1000)
     level, sureness = _level_of(np.ones(999), bins)
     assert sureness[:100].tolist() == [8.5] * 100
     assert sureness[-20] == 0.5 * bins.count[-28:-11].sum() > 40
     assert level[-20] == pytest.approx(1.0)
-    # With nothing kept there is still a level, of one degree of freedom.
+    # If no ordinate is kept, the level has one degree of freedom.
     assert _level_of(np.ones(999), bins, np.arange(999) < 1)[1][-1] == 1.0
 
 
-def test_the_level_is_that_of_the_ordinates_that_are_kept() -> None:
-    """Half of them left out, the mean of the others is what it was; they are half as sure."""
+def test_the_level_uses_the_kept_ordinates_only() -> None:
+    """With half of the ordinates omitted, the level stays the same and its precision is halved."""
     bins = dct_bins(1000)
     whole, sureness = _level_of(np.full(999, 4.0), bins)
     level, less = _level_of(np.where(np.arange(999) % 2, 4.0, 1e9), bins, np.arange(999) % 2 == 1)
@@ -100,8 +99,8 @@ def test_the_level_is_that_of_the_ordinates_that_are_kept() -> None:
 
 
 @pytest.mark.parametrize("seed", [71, 72, 73])
-def test_a_line_that_wanders_is_left_out(seed: int) -> None:
-    """As of a beat or a fan: its power is spread over more ordinates than a line's nearest neighbours."""
+def test_a_wandering_line_is_omitted(seed: int) -> None:
+    """The power of a beat or a fan is spread over more ordinates than a line's nearest neighbours."""
     rng = np.random.default_rng(seed)
     n = 400_000
     omega = 0.2 * (1 + 1e-2 * np.cumsum(rng.standard_normal(n)) / np.sqrt(n))
@@ -115,8 +114,8 @@ def test_a_line_that_wanders_is_left_out(seed: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["mean of 8", "Butterworth 2", "resonance"])
-def test_a_filter_s_edges_and_peaks_are_no_lines(name: str) -> None:
-    """Of 12 records behind each of three filters none has a line; a line on top of them is still found."""
+def test_edges_and_peaks_of_filters_are_not_lines(name: str) -> None:
+    """None of 12 records behind each filter has a line, and an added line is found."""
     from scipy.signal import butter, lfilter
 
     pole = 0.95 * np.exp(0.4j * np.pi)
@@ -135,15 +134,15 @@ def test_a_filter_s_edges_and_peaks_are_no_lines(name: str) -> None:
 
 
 @pytest.mark.parametrize("omega", [0.5 * np.pi, 1.2345])
-def test_a_line_far_above_the_noise_leaves_the_noise_as_it_is(omega: float) -> None:
-    """Its tail would reach over a large part of the spectrum: it is taken out as the sine that it is."""
+def test_a_strong_line_is_subtracted_as_a_sine(omega: float) -> None:
+    """Its tail would cover much of the spectrum; after the subtraction the noise is unchanged."""
     n = 4000
     white = np.random.default_rng(60).standard_normal(n)
     ordinates = dct_ordinates(white + 50 * np.cos(omega * (np.arange(n) + 0.5) + 1))
     rest, (sine,) = without_strong_lines(ordinates, dct_bins(n))
     assert sine.amplitude == pytest.approx(50, rel=4 / np.sqrt(n) / 50 * np.sqrt(2))
     assert sine.omega == pytest.approx(omega, abs=5 * np.sqrt(24) / 50 / n**1.5)
-    # Next to it three ordinates' worth of noise is fitted with the sine.
+    # Near the line, the sine also fits the noise of three ordinates.
     far = np.abs(np.arange(1, n) - omega * n / np.pi) > 8
     np.testing.assert_allclose(rest[far], dct_ordinates(white)[far], atol=0.2)
     assert np.sum((rest - dct_ordinates(white))[~far] ** 2) < 12
@@ -156,8 +155,8 @@ def test_a_line_far_above_the_noise_leaves_the_noise_as_it_is(omega: float) -> N
     assert (line.frequency_hz, line.amplitude) == (sine.omega * 10 / (2 * np.pi), 2 * sine.amplitude)
 
 
-def test_noise_and_weak_lines_are_left_as_they_are() -> None:
-    """And so is a strong line that wanders: a sine takes hardly anything of it."""
+def test_weak_and_wandering_lines_are_not_subtracted() -> None:
+    """A sine would remove hardly any power of a strong wandering line."""
     t = np.arange(20_000)
     rng = np.random.default_rng(61)
     white = rng.standard_normal(t.size)

@@ -1,4 +1,4 @@
-"""Lines are found where they are, and seldom where they are not."""
+"""Tests of the false alarm rate of spectral lines, and of the detection of weak ones."""
 
 import numpy as np
 import pytest
@@ -10,8 +10,8 @@ from imucal.noise import NoiseModel
 
 @pytest.mark.parametrize("text", ["N=1e-3", "N=1e-4 + K=2e-5", "N=1e-3 + B=5e-4"])
 @pytest.mark.parametrize("n", [2_000, 16_000])
-def test_a_record_without_lines_rarely_has_one(text: str, n: int) -> None:
-    """One record in a hundred, by design; the bound of 4 % is three standard errors above, of 150 records."""
+def test_the_false_alarm_rate_of_lines_is_one_per_cent(text: str, n: int) -> None:
+    """The limit of 4 % is three standard errors above, for 150 records."""
     bins, model = dct_bins(n), NoiseModel.parse(text)
     found = 0
     for seed in range(150):
@@ -23,7 +23,7 @@ def test_a_record_without_lines_rarely_has_one(text: str, n: int) -> None:
 
 @pytest.mark.parametrize("frequency", [0.1, 0.565, 12.3])
 def test_a_sine_as_large_as_the_noise_density_is_found(frequency: float) -> None:
-    """Frequency to one ordinate, amplitude to 10 %, which its neighbours left out explain."""
+    """The frequency is exact to one ordinate, the amplitude to 10 % because neighbours are omitted."""
     n, rate_hz = 100_000, 100.0
     seconds = np.arange(n) / rate_hz
     noise = NoiseModel.parse("N=1e-3").simulate(n, rate_hz=rate_hz, rng=np.random.default_rng(1))

@@ -1,4 +1,4 @@
-"""Scattered missing samples."""
+"""Tests of the completion of scattered missing samples."""
 
 import numpy as np
 import numpy.testing as npt
@@ -11,7 +11,7 @@ from imucal.fitting.spectral.disturbances.gaps import _conjugate, _groups, _Pair
 
 
 def test_conjugate_gradients_solve_the_system() -> None:
-    """On a well-conditioned matrix the residual is below the asked part of the noise."""
+    """On a well-conditioned matrix, the residual is below the requested fraction of the noise."""
     rng = np.random.default_rng(1)
     matrix = np.eye(30) + 0.1 * np.cov(rng.standard_normal((30, 60)))
     right = rng.standard_normal(30)
@@ -19,8 +19,8 @@ def test_conjugate_gradients_solve_the_system() -> None:
     npt.assert_allclose(matrix @ found, right, atol=5e-3)
 
 
-def test_fills_with_what_the_neighbours_say() -> None:
-    """A smooth signal is filled to a small part of its size; observed samples stay as they are."""
+def test_missing_samples_are_estimated_from_their_neighbours() -> None:
+    """A smooth signal is filled to 5 % of its deviation, and observed samples do not change."""
     n = 512
     signal = np.cumsum(np.cumsum(np.random.default_rng(2).standard_normal(n))) / 50
     seen = np.ones(n, dtype=bool)
@@ -35,23 +35,23 @@ def test_fills_with_what_the_neighbours_say() -> None:
     npt.assert_allclose(drawn, signal[~seen], atol=0.2 * signal.std())
 
 
-def test_white_noise_loses_the_missing_share() -> None:
-    """Of white noise with a fifth missing, the bins lose a fifth of their information."""
+def test_white_noise_loses_the_missing_share_of_information() -> None:
+    """A fifth of the samples is missing, so the bins lose a fifth of their information."""
     rng = np.random.default_rng(3)
     seen = rng.random(20_000) > 0.2
     ordinates, variance, loss, drawn = complete(rng.standard_normal(20_000), seen, dct_bins(20_000))
     assert np.median(loss[200:]) == np.clip(np.median(loss[200:]), 0.15, 0.25)
-    # Mean square of the completed ordinates: 1, within four standard errors.
+    # The mean square of the completed ordinates is 1 within four standard errors.
     assert abs(np.mean(ordinates**2 + variance) - 1) < 4 * np.sqrt(2 / 16_000)
-    # A draw has the variance of what is missing: one sample of 4000 in four standard errors.
+    # A draw has the variance of a missing sample; the limit is four standard errors of 4000 samples.
     assert abs(np.mean(drawn**2) - 1) < 4 * np.sqrt(2 / 4000)
 
 
 @pytest.mark.parametrize("direct", [0.0, 1e9])
-def test_the_precision_of_missing_samples_is_its_definition(
+def test_the_precision_of_missing_samples_agrees_with_its_definition(
     direct: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The missing block of C' diag(w) C, by sums of cosines as by transforms; also at both ends."""
+    """It is the missing block of C' diag(w) C, computed by cosine sums or by transforms."""
     monkeypatch.setattr(gaps, "_DIRECT", direct)
     n, missing = 400, np.array([0, 1, 57, 58, 59, 200, 399])
     groups = _groups(dct_bins(n))
@@ -67,7 +67,7 @@ def test_the_precision_of_missing_samples_is_its_definition(
 
 
 def test_few_and_many_missing_samples_are_completed_equally(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By sums of cosines and by transforms to the same expectation, also of the first and the last sample."""
+    """Sums of cosines and transforms give the same expectation, also for the first and the last sample."""
     rng = np.random.default_rng(1311)
     samples = rng.standard_normal(5000) + 0.01 * np.cumsum(rng.standard_normal(5000))
     seen = np.ones(5000, dtype=bool)

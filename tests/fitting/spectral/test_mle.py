@@ -1,4 +1,4 @@
-"""Maximum likelihood, from samples to NoiseFit."""
+"""Tests of maximum likelihood, from samples to a NoiseFit."""
 
 import json
 
@@ -10,14 +10,14 @@ from imucal.errors import DataError
 from imucal.recording import AxisSeries
 from tests.fitting.fits import fitted, simulated
 
-#: Truths of two records of 2e5 samples at 100 Hz, all terms well above what the record can tell.
+#: True models of two records of 2e5 samples at 100 Hz; every term is well above its detection limit.
 PLAIN = "N=1e-3 + B=2e-3 + K=6e-4"
 RICH = "Q=1e-5 + N=1e-3 + GM(sigma=2e-3, T=3) + K=3e-4"
 
 
 @pytest.mark.parametrize("text", [PLAIN, RICH])
-def test_finds_model_and_values(text: str) -> None:
-    """The structure is found, with every truth inside four standard errors and the interval of these."""
+def test_model_and_values_are_found(text: str) -> None:
+    """The true values are within four standard errors and inside the 99.99 % intervals."""
     result = fitted(simulated(text, 200_000, 1, rate_hz=100.0), rate_hz=100.0, level=0.9999)
     truth = dict(part.split("=") for part in text.split(" + ") if "GM" not in part)
     assert str(result.model) == (" + ".join(p.split("=")[0].split("(")[0] for p in text.split(" + ")))
@@ -28,8 +28,8 @@ def test_finds_model_and_values(text: str) -> None:
         assert result[key].low < float(value) < result[key].high
 
 
-def test_gauss_markov_comes_with_both_intervals() -> None:
-    """Sigma and correlation time are inside their own intervals, of one miss in ten thousand."""
+def test_a_gauss_markov_term_has_intervals_for_sigma_and_time() -> None:
+    """Both true values are inside their 99.99 % intervals."""
     result = fitted(simulated(RICH, 200_000, 1, rate_hz=100.0), rate_hz=100.0, level=0.9999)
     found = result["GM"]
     assert found.correlation_time is not None
@@ -38,29 +38,29 @@ def test_gauss_markov_comes_with_both_intervals() -> None:
 
 
 @pytest.mark.parametrize("gain", [1e-9, 1e9, -3.7])
-def test_scaling_rescales_the_estimates_and_nothing_else(gain: float) -> None:
-    """Coefficients follow the gain; model, times, goodness and bounds stay, to rounding."""
+def test_scaling_the_samples_only_scales_the_estimates(gain: float) -> None:
+    """Model, times, goodness of fit and bounds agree to rounding."""
     samples = simulated(RICH, 50_000, 2, rate_hz=100.0)
     plain, scaled = fitted(samples, rate_hz=100.0), fitted(gain * samples, rate_hz=100.0)
     assert str(plain.model) == str(scaled.model)
     assert scaled.goodness.statistic == pytest.approx(plain.goodness.statistic, rel=1e-5, abs=1e-5)
     for before, after in zip(plain.estimates, scaled.estimates, strict=True):
         assert (before.key, before.status) == (after.key, after.status)
-        # Limits are found to a hundredth of a standard error, on a path that rounding changes.
+        # Limits are exact to a hundredth of a standard error, and rounding changes the path to them.
         npt.assert_allclose(after.high, abs(gain) * before.high, rtol=1e-3)
         if before.value is not None:
             assert after.value == pytest.approx(abs(gain) * before.value, rel=1e-5)
 
 
-def test_an_offset_changes_nothing() -> None:
-    """The level of the samples is free."""
+def test_an_offset_has_no_effect() -> None:
+    """The fit estimates the mean of the samples."""
     samples = simulated(PLAIN, 30_000, 3, rate_hz=100.0)
     plain, moved = fitted(samples, rate_hz=100.0), fitted(samples + 9.81, rate_hz=100.0)
     npt.assert_allclose([e.high for e in moved.estimates], [e.high for e in plain.estimates], rtol=1e-4)
 
 
 def test_the_rate_only_changes_units() -> None:
-    """Ten times the rate: N is divided by the root of ten, K multiplied by it, B the same."""
+    """At ten times the rate, N is divided by sqrt(10), K is multiplied by it, and B stays the same."""
     samples = simulated(PLAIN, 100_000, 4, rate_hz=100.0)
     slow = fitted(samples, "N + B + K", rate_hz=100.0)
     fast = fitted(samples, "N + B + K", rate_hz=1000.0)
@@ -69,7 +69,7 @@ def test_the_rate_only_changes_units() -> None:
         assert fast[key].value == pytest.approx(factor * (slow[key].value or 0.0), rel=1e-9)
 
 
-def test_is_deterministic() -> None:
+def test_the_fit_is_deterministic() -> None:
     """Two fits of the same samples are equal to the last bit."""
     samples = simulated(RICH, 20_000, 5, rate_hz=100.0)
     first, second = fitted(samples), fitted(samples)
@@ -87,8 +87,8 @@ def test_is_deterministic() -> None:
         ("B", ["N", "B", "K"]),
     ],
 )
-def test_a_given_model_is_fitted_and_n_b_k_are_always_there(model: str, keys: list[str]) -> None:
-    """Each term has an estimate or a bound; terms that may be zero are bounded from 0 up."""
+def test_a_given_model_is_fitted_and_n_b_k_are_always_reported(model: str, keys: list[str]) -> None:
+    """Each term has an estimate or an upper bound."""
     result = fitted(simulated("N=1 + K=0.02 + B=0.1", 20_000, 6), model)
     assert [e.key for e in result.estimates] == keys
     assert result.criterion == "given"
@@ -98,8 +98,8 @@ def test_a_given_model_is_fitted_and_n_b_k_are_always_there(model: str, keys: li
         assert (estimate.status == "bounded") == (estimate.value is None)
 
 
-def test_absent_terms_are_bounded() -> None:
-    """White noise has no B and no K, and says how large they might be."""
+def test_absent_terms_have_an_upper_bound() -> None:
+    """White noise has no B and no K, so the fit reports how large they might be."""
     result = fitted(simulated("N=1", 50_000, 7))
     assert str(result.model) == "N"
     for key in ("B", "K"):
@@ -107,23 +107,23 @@ def test_absent_terms_are_bounded() -> None:
         assert 0 < result[key].high < 0.1
 
 
-def test_a_bounded_term_of_a_given_model_leaves_the_model() -> None:
-    """A given K that the data do not show keeps its bound, and the model goes without it."""
+def test_a_bounded_term_is_removed_from_a_given_model() -> None:
+    """A given K that is not detected keeps its bound, but the model omits it."""
     result = fitted(simulated("N=1", 20_000, 8), "N + K")
     assert str(result.model) == "N"
     assert result["K"].status == "bounded"
     assert result.parameters == ("N",)
 
 
-def test_of_two_exchangeable_terms_one_stays() -> None:
-    """B and K are each not shown beside the other, but one of them is needed and stays."""
+def test_one_of_two_exchangeable_terms_is_kept() -> None:
+    """Either B or K can be omitted, but the data need one of them."""
     result = fitted(simulated("N=1 + K=0.012", 3000, 4), "N + B + K")
     assert result.goodness.statistic < 3
     assert {result["B"].status, result["K"].status} == {"estimated", "bounded"}
 
 
-def test_gauss_markov_terms_that_are_not_shown_are_numbered_too() -> None:
-    """Two given Gauss-Markov terms of white noise are bounded, each under a name of its own."""
+def test_undetected_gauss_markov_terms_are_numbered_too() -> None:
+    """Two given Gauss-Markov terms are bounded in white noise, each with its own key."""
     result = fitted(simulated("N=1", 20_000, 15), "N + 2*GM")
     assert [e.key for e in result.estimates] == ["N", "B", "GM1", "GM2", "K"]
     assert str(result.model) == "N"
@@ -132,8 +132,8 @@ def test_gauss_markov_terms_that_are_not_shown_are_numbered_too() -> None:
     assert one.parameters[:2] == ("N", "GM1.sigma")
 
 
-def test_reports_the_models_within_reach() -> None:
-    """The chosen model comes first with delta 0, the others rise to at most 6."""
+def test_near_models_are_reported() -> None:
+    """The chosen model comes first with delta 0; the others follow in order up to a delta of 6."""
     result = fitted(simulated("N=1 + B=0.05 + K=1e-3", 100_000, 9))
     deltas = [c.delta for c in result.candidates]
     assert deltas[0] == 0
@@ -142,8 +142,8 @@ def test_reports_the_models_within_reach() -> None:
     assert result.candidates[0].structure == str(result.model)
 
 
-def test_covariance_is_positive_and_named() -> None:
-    """One row a parameter; correlations lie within -1 and 1."""
+def test_the_covariance_is_positive_definite_and_named() -> None:
+    """It has one row per parameter, and correlations are between -1 and 1."""
     result = fitted(simulated(RICH, 100_000, 10, rate_hz=100.0), "Q + N + GM + K", rate_hz=100.0)
     assert result.parameters == ("Q", "N", "K", "GM.sigma", "GM.T")
     assert np.all(np.linalg.eigvalsh(result.correlation) > 0)
@@ -151,20 +151,20 @@ def test_covariance_is_positive_and_named() -> None:
 
 
 def test_settings_are_json_values() -> None:
-    """What the fit decided can be written to a report."""
+    """A report contains the settings that the fit used."""
     result = fitted(simulated(PLAIN, 10_000, 11))
     assert json.loads(json.dumps(dict(result.settings))) == dict(result.settings)
 
 
-def test_a_short_record_gives_what_it_can() -> None:
-    """A hundred samples give N with a wide interval, and bounds for the rest."""
+def test_a_short_record_has_a_wide_interval_of_n_and_bounds() -> None:
+    """One hundred samples determine only N."""
     result = fitted(simulated("N=1", 100, 12))
     assert result["N"].low < 1 < result["N"].high
     assert all(np.isfinite(e.high) for e in result.estimates)
 
 
-def test_refuses_too_few_samples() -> None:
-    """The message says how many there are and how many are needed."""
+def test_too_few_samples_are_rejected() -> None:
+    """The error states how many there are and how many are needed."""
     with pytest.raises(DataError) as caught:
         fitted(np.arange(20.0))
     assert str(caught.value) == (
@@ -173,8 +173,8 @@ def test_refuses_too_few_samples() -> None:
 
 
 @pytest.mark.parametrize("level", [0.0, 9.81])
-def test_refuses_constant_samples(level: float) -> None:
-    """A sensor that does not move its last digit has no noise to model."""
+def test_constant_samples_are_rejected(level: float) -> None:
+    """A sensor whose last digit does not change has no noise to model."""
     with pytest.raises(DataError) as caught:
         fitted(np.full(1000, level))
     assert str(caught.value) == (
@@ -196,8 +196,8 @@ def test_refuses_constant_samples(level: float) -> None:
     ids=["alternating", "line", "sine", "step", "coarse", "cauchy"],
 )
 @pytest.mark.filterwarnings("error")
-def test_odd_samples_give_finite_numbers_or_an_error(samples: np.typing.NDArray[np.float64]) -> None:
-    """Whatever comes in, no NaN comes out."""
+def test_unusual_samples_give_finite_numbers_or_an_error(samples: np.typing.NDArray[np.float64]) -> None:
+    """No estimate is NaN, whatever the samples are."""
     try:
         result = fitted(samples)
     except DataError:
@@ -209,15 +209,14 @@ def test_odd_samples_give_finite_numbers_or_an_error(samples: np.typing.NDArray[
     assert np.isfinite(result.goodness.statistic)
 
 
-def test_used_points_are_those_the_band_lets_see() -> None:
-    """Without a filter the fit uses the whole curve."""
+def test_the_fit_uses_the_full_curve_without_a_filter() -> None:
     series = AxisSeries.from_samples(simulated("N=1", 5000, 13), rate_hz=1.0)
     npt.assert_array_equal(fitted(series).used, [0, 1])
 
 
 @pytest.mark.parametrize(("offset", "slope"), [(0.0, 1.0), (9.8, 1e-3), (0.0, 7.7)])
-def test_a_straight_line_is_no_measurement(offset: float, slope: float) -> None:
-    """A counter taken for an axis holds no noise; the message says so, whatever its step."""
+def test_a_straight_line_is_rejected(offset: float, slope: float) -> None:
+    """A counter that was mistaken for an axis contains no noise; the error explains it for every step."""
     with pytest.raises(DataError) as caught:
         fitted(offset + slope * np.arange(2000.0))
     assert str(caught.value) == (

@@ -1,4 +1,4 @@
-"""Limits of a likelihood whose drop is known: z standard errors away, in the parameter's own unit."""
+"""Tests of profile-likelihood limits, with a likelihood whose drop is known."""
 
 from dataclasses import replace
 from typing import Any
@@ -25,7 +25,7 @@ BETA, PEAK = 0.3, 7.0
 
 
 def maximum(information: FloatArray | None = None) -> Fits:
-    """Return the place of the greatest likelihood."""
+    """Return the maximum of the likelihood."""
     width = CENTRE.size
     return at_maximum(
         CENTRE[None].copy(),
@@ -38,7 +38,7 @@ def maximum(information: FloatArray | None = None) -> Fits:
 
 
 def known(monkeypatch: pytest.MonkeyPatch, deviation: float) -> list[BoolArray]:
-    """Let the log-likelihood be a parabola in each u, of a given deviation; return what was held free."""
+    """Make the log-likelihood a parabola in each u with this deviation; return the free parameters."""
     seen: list[BoolArray] = []
 
     def drop(
@@ -68,17 +68,17 @@ def limits(columns: list[int], level: float = 0.95) -> tuple[FloatArray, FloatAr
     return profile_limits(DATA, maximum()[[0] * len(columns)], np.array(columns), reach=reach)
 
 
-def test_the_quantile_of_a_level() -> None:
-    """Two-sided: 1.96 for 95 %, one for 68.27 %."""
+def test_the_quantile_is_two_sided() -> None:
+    """It is 1.96 for 95 % and 1 for 68.27 %."""
     assert quantile(0.95) == pytest.approx(1.959964, abs=1e-6)
     assert quantile(0.6826895) == pytest.approx(1.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("level", [0.5, 0.95, 0.999])
-def test_limits_lie_where_the_drop_reaches_the_quantile(
+def test_the_likelihood_drop_at_the_limits_is_the_quantile(
     level: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """To a hundredth of z: of a deviation, of a logarithm of a time, of a slope."""
+    """Limits are exact to 0.01 z, for a deviation, the logarithm of a time and a slope."""
     seen, z = known(monkeypatch, 0.1), quantile(level)
     low, high = limits([N, SIGMA, TIME, RAMP], level)
     for column, at in ((N, 0), (SIGMA, 1)):
@@ -89,7 +89,7 @@ def test_limits_lie_where_the_drop_reaches_the_quantile(
         )
     npt.assert_allclose([low[2], high[2]], CENTRE[TIME] + np.array([-1, 1]) * 0.1 * z, atol=0.0011 * z)
     npt.assert_allclose([low[3], high[3]], BETA + np.array([-1, 1]) * 0.1 * z, atol=0.0011 * z)
-    # The one that is profiled is held; nothing is held for a ramp, which is a regressor.
+    # The profiled parameter is fixed; a ramp is a regressor, so nothing is fixed for it.
     free = MODELS.free[0]
     for row, profiled in enumerate((N, SIGMA, TIME, None) * 2):
         expected = free.copy()
@@ -98,8 +98,8 @@ def test_limits_lie_where_the_drop_reaches_the_quantile(
         npt.assert_array_equal(seen[0][row], expected)
 
 
-def test_a_variance_may_vanish_and_a_time_may_be_any(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the drop stays below the quantile up to the bound, there is no limit on that side."""
+def test_limits_are_infinite_if_the_likelihood_does_not_drop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The drop stays below the quantile up to the bound."""
     known(monkeypatch, 5.0)
     low, high = limits([N, TIME, RAMP])
     assert low[:2].tolist() == [-np.inf, -np.inf]
@@ -113,8 +113,8 @@ def search(columns: list[int], information: FloatArray | None = None) -> _Profil
     return _ProfileSearch(DATA, maximum(information)[[0] * len(columns)], np.array(columns))
 
 
-def test_where_a_search_begins_and_what_bounds_it() -> None:
-    """At the estimate, in u; a variance and a ramp have no upper bound, a ramp no lower."""
+def test_the_start_and_the_bounds_of_a_search() -> None:
+    """It starts at the estimate in u; variances and ramps have no upper bound, ramps no lower one."""
     found = search([N, TIME, RAMP])
     npt.assert_allclose(found.centre, [np.exp(0.1), CENTRE[TIME], BETA])
     low, high = bounds(DATA, MODELS)
@@ -123,25 +123,27 @@ def test_where_a_search_begins_and_what_bounds_it() -> None:
     npt.assert_allclose(found.from_u(np.arange(3), np.array([2.0, 2.0, 2.0])), [2 * np.log(2.0), 2.0, 2.0])
 
 
-@pytest.mark.parametrize(("told", "width"), [(100.0, 0.5 * 0.1), (1.0 + 1e-9, 0.5), (0.25, 1.0), (0.16, 1.0)])
-def test_the_first_step_of_a_variance(told: float, width: float) -> None:
-    """Half its deviation times u, where that is told; else u itself, unless even that is smaller."""
+@pytest.mark.parametrize(
+    ("curvature", "width"), [(100.0, 0.5 * 0.1), (1.0 + 1e-9, 0.5), (0.25, 1.0), (0.16, 1.0)]
+)
+def test_the_first_step_of_a_variance(curvature: float, width: float) -> None:
+    """It is half the relative standard error times u, at most u."""
     information = np.eye(CENTRE.size)
-    information[SIGMA, SIGMA] = told
+    information[SIGMA, SIGMA] = curvature
     step = search([SIGMA], information).width
     assert step[0] == pytest.approx(width * np.exp(CENTRE[SIGMA] / 2), rel=1e-6)
 
 
 def test_the_first_steps_of_a_time_and_a_ramp() -> None:
-    """The deviation of the logarithm, one at most; that of the slope."""
-    for told, width in ((4.0, 0.5), (0.25, 1.0)):
+    """They are the standard error of the logarithm, at most one, and of the slope."""
+    for curvature, width in ((4.0, 0.5), (0.25, 1.0)):
         information = np.eye(CENTRE.size)
-        information[TIME, TIME] = told
+        information[TIME, TIME] = curvature
         npt.assert_allclose(search([TIME, RAMP], information).width, [width, 0.2])
 
 
-def test_a_variance_too_small_to_see_begins_where_it_would_be_seen() -> None:
-    """Six log units of u above its bound, and not at u itself."""
+def test_the_first_step_of_a_tiny_variance_is_at_a_visible_level() -> None:
+    """It is six log units of u above the bound instead of u."""
     information = np.eye(CENTRE.size)
     information[N, N] = 1e-4
     found = search([N], information)

@@ -1,4 +1,4 @@
-"""Samples that would make the transform slow are left out at the end, and nothing else changes."""
+"""Tests of the omission of samples at the end, which gives the transform a fast length."""
 
 import numpy as np
 import pytest
@@ -12,22 +12,22 @@ from tests.fitting.fits import fitted, simulated
 
 
 @pytest.mark.parametrize("n", [131_071, 104_729])
-def test_results_at_a_quick_length_are_those_of_all_samples(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """At primes: they differ by less than 0.02 of a standard error; at the worst by 0.01 in the root mean."""
+def test_results_at_a_fast_length_agree_with_all_samples(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At prime lengths, the largest difference is 0.02 standard errors."""
     samples = simulated("N=1 + K=1e-2", n, 91)
     quick = fitted(samples, "N + K")
     assert 0 < n - make_blocks(AxisSeries.from_samples(samples, rate_hz=1.0)).blocks[0].bins.n <= 1e-4 * n
     monkeypatch.setattr(blocks, "fast_length", lambda size: size)
-    whole = fitted(samples, "N + K")
-    for key, error in zip(whole.parameters, np.sqrt(np.diag(whole.covariance)).tolist(), strict=True):
-        one, other = quick[key].value, whole[key].value
+    full = fitted(samples, "N + K")
+    for key, error in zip(full.parameters, np.sqrt(np.diag(full.covariance)).tolist(), strict=True):
+        one, other = quick[key].value, full[key].value
         assert one is not None
         assert other is not None
         assert abs(one - other) < 0.02 * error
 
 
 def test_a_run_with_gaps_is_cut_on_its_grid() -> None:
-    """What is missing counts for the length, what was measured after the cut is left out."""
+    """Missing samples count towards the length, and samples after the cut are omitted."""
     n = 131_071
     keep = np.ones(n, dtype=np.bool_)
     keep[[100, 101, 70_000, n - 3]] = False

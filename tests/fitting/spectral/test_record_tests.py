@@ -1,4 +1,4 @@
-"""Have several records one coefficient? The search for it against a general minimiser."""
+"""Tests whether several records share one coefficient; the reference is a general minimiser."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from tests.fleet.records import bins_from, simulated
 
 
 def _least(fit: BinFit, shared: int | None) -> float:
-    """Return the least -log L of all records, with one variance for all in the column `shared`."""
+    """Return the least -log L of all records, with one common variance in the column `shared`."""
     columns = [c for _, c in fit.whole.columns() if c < SHAPED]
     low = [bounds(one, fit.whole.models)[0][columns] for one in fit.records]
     begin = fit.whole.theta[0]
@@ -35,7 +35,7 @@ def _least(fit: BinFit, shared: int | None) -> float:
 
     limits = [(min(r[columns.index(shared)] for r in low) if shared is not None else 0.0, 50.0)]
     limits += [(r[columns.index(column)], 50.0) for r in low for column in own]
-    # From nearly invisible, from visible, and from the joint fit.
+    # Starts are the joint fit, nearly invisible variances and visible ones.
     joint = np.array([begin[shared or 0], *np.tile(begin[own], len(fit.records))])
     starts = [joint, *(np.maximum(joint, np.array(limits)[:, 0] + more) for more in (8.0, 16.0))]
     ends = [
@@ -49,8 +49,8 @@ def _least(fit: BinFit, shared: int | None) -> float:
 
 
 @pytest.mark.parametrize("case", range(3))
-def test_the_statistic_is_that_of_a_general_minimiser(case: int) -> None:
-    """Records of one coefficient and of several, terms strong, weak and absent."""
+def test_the_statistic_agrees_with_a_general_minimiser(case: int) -> None:
+    """The records share a coefficient or not, and the terms are strong, weak or absent."""
     scales = [(1.0, 1.0, 1.0), (1.0, 1.3, 1.0), (1.0, 0.7, 1.5)][case]
     walk = (2e-5, 2e-4, 1e-6)[case]
     every = [

@@ -1,4 +1,4 @@
-"""Warm-up and temperature are taken out with the fit."""
+"""Tests of the removal of warm-up and temperature effects in the fit."""
 
 import numpy as np
 import pytest
@@ -30,8 +30,8 @@ def test_ramp_and_exponential_are_the_transform_of_their_samples() -> None:
         np.testing.assert_allclose(exponential_ordinates(500, 499, time, 70), expected, atol=1e-10)
 
 
-def test_a_warm_up_is_found_and_k_keeps_its_size() -> None:
-    """An exponential of ten times the walk's spread does not inflate K, and is reported."""
+def test_a_warm_up_is_found_and_k_is_not_inflated() -> None:
+    """The exponential is ten times the spread of the random walk."""
     samples = simulated("N=1 + K=5e-3", N, 1)
     plain = fitted(samples, "N + K")
     warm = fitted(samples + 10 * np.exp(-np.arange(N) / 3000), "N + K")
@@ -40,10 +40,9 @@ def test_a_warm_up_is_found_and_k_keeps_its_size() -> None:
     assert warm["K"].low < 5e-3 < warm["K"].high
 
 
-def test_temperature_is_taken_out() -> None:
-    """A linear effect of temperature is removed where the temperature is given."""
+def test_a_linear_effect_of_temperature_is_removed() -> None:
     samples = simulated("N=1 + K=2e-3", N, 2)
-    # The temperature wanders: a slow cycle is found without the thermometer too.
+    # The temperature is a random walk, because a slow cycle would be found without a thermometer.
     temperature = 25 + 0.02 * np.cumsum(np.random.default_rng(3).standard_normal(N))
     heated = samples + 0.5 * temperature
     without = fitted(heated, "N + K")
@@ -54,8 +53,7 @@ def test_temperature_is_taken_out() -> None:
 
 
 @pytest.mark.parametrize("temperature", [np.full(N, 25.0), 25 + np.arange(N) * 1e-9])
-def test_a_steady_temperature_changes_nothing(temperature: np.typing.NDArray[np.float64]) -> None:
-    """A temperature that says nothing is not used."""
+def test_a_constant_temperature_is_not_used(temperature: np.typing.NDArray[np.float64]) -> None:
     samples = simulated("N=1", N, 3)
     result = fitted(samples, "N", temperature=temperature)
     assert "temperature" not in codes(result.findings)
@@ -67,8 +65,8 @@ def _block(temperature: FloatArray | None) -> Block:
     return Block(offset=70, bins=dct_bins(500), ordinates=dct_ordinates(samples), temperature=temperature)
 
 
-def test_a_block_has_its_regressors_by_name() -> None:
-    """The ramp, the temperature and a decay that began before the block."""
+def test_a_block_returns_regressors_by_name() -> None:
+    """They are the ramp, the temperature and a decay that began before the block."""
     t = np.arange(500.0)
     block = _block(np.sin(t))
     np.testing.assert_allclose(block.regressor("R"), dct_ordinates(t), atol=1e-8)
@@ -82,7 +80,7 @@ def test_a_block_has_its_regressors_by_name() -> None:
 )
 @pytest.mark.parametrize("offset", [0, 70])
 def test_closed_forms_are_transforms_of_the_samples(name: str, offset: int) -> None:
-    """Also where the block begins later than the record, and at a frequency of an ordinate itself."""
+    """The block may begin later than the record, and the frequency may be that of an ordinate."""
     samples = regressor_samples(name, offset + np.arange(500.0))
     found = regressor_ordinates(name, 500, 499, offset=offset)
     np.testing.assert_allclose(found, dct_ordinates(samples), atol=1e-8)
@@ -94,13 +92,13 @@ def test_closed_forms_are_transforms_of_the_samples(name: str, offset: int) -> N
 
 
 @pytest.mark.parametrize("place", [0.0, -3.0, 500.0])
-def test_a_step_outside_a_block_is_nothing(place: float) -> None:
-    """It is a constant there."""
+def test_a_step_outside_a_block_is_zero(place: float) -> None:
+    """It is constant in the block."""
     assert not regressor_ordinates(f"step:{place}", 500, 499).any()
 
 
-def test_a_lag_follows_as_a_first_order_filter_does() -> None:
-    """By its recursion; at rest before the first sample; no lag changes nothing."""
+def test_a_lag_is_a_first_order_filter() -> None:
+    """The filter is at rest before the first sample; a lag of 0 returns the input."""
     x = np.random.default_rng(5).normal(size=300)
     expected, state = [], x[0]
     for value in x:
@@ -112,8 +110,8 @@ def test_a_lag_follows_as_a_first_order_filter_does() -> None:
 
 
 @pytest.mark.parametrize("lag", ["", ":300.0"])
-def test_the_lowest_ordinates_of_a_temperature_are_quick_and_right(lag: str) -> None:
-    """Of means over a 25th of the samples, as of all of them, to 1 % of the largest."""
+def test_the_lowest_ordinates_of_a_temperature_may_use_means(lag: str) -> None:
+    """Means of a 25th of the samples agree with all samples to 1 % of the largest ordinate."""
     t = np.arange(20_000.0)
     warm = 25 + np.sin(t / 2500) + 1e-3 * np.random.default_rng(6).normal(size=t.size)
     quick = regressor_ordinates(f"temperature{lag}", t.size, 200, temperature=warm)
@@ -121,7 +119,6 @@ def test_the_lowest_ordinates_of_a_temperature_are_quick_and_right(lag: str) -> 
     np.testing.assert_allclose(quick, every, atol=0.01 * np.abs(every).max())
 
 
-def test_a_temperature_that_was_not_measured_is_refused() -> None:
-    """A mistake of the caller's."""
+def test_a_missing_temperature_is_rejected() -> None:
     with pytest.raises(ValueError, match="'temperature:3' needs the temperature of the samples, got none"):
         regressor_ordinates("temperature:3", 500, 499)

@@ -1,4 +1,4 @@
-"""The search for a maximum: its bounds, its steps, and what the maximum is worth."""
+"""Tests of the search for a maximum: bounds, steps, covariance and misfit."""
 
 from dataclasses import replace
 from statistics import NormalDist
@@ -21,7 +21,7 @@ from tests.fitting.fits import ordinates_of, simulated
 
 
 def test_bounds_of_a_time_and_of_a_variance() -> None:
-    """From the shortest to twice the record; a variance to exp(-18) of the lowest bin it could show in."""
+    """A time is between the shortest and twice the record, a variance above exp(-18) of the visible level."""
     data = ordinates_of(simulated("N=1 + K=0.05", 500, 1))
     models = models_of([("N", "GM")], data.names, poles=1, shortest=7.0)
     low, high = bounds(data, models)
@@ -36,8 +36,8 @@ def test_bounds_of_a_time_and_of_a_variance() -> None:
     assert low[4] == pytest.approx(np.log(level.min() / 500) - 18)
 
 
-def test_a_step_is_no_longer_than_one_and_a_half() -> None:
-    """In log units; of a response, relative to 1 + its size. A parameter at its bound stays there."""
+def test_a_step_is_at_most_one_and_a_half() -> None:
+    """The unit is a logarithm, or 1 + the size of a response; a parameter at its bound does not move."""
     data = ordinates_of(simulated("N=1 + K=0.05", 500, 1))
     models = models_of([("N", "K")], data.names, poles=1)
     low, high = bounds(data, models)
@@ -59,8 +59,8 @@ def test_a_step_is_no_longer_than_one_and_a_half() -> None:
     npt.assert_allclose(moved, [[0.0, 1.5, 0.0, 0.0, 6.0]])
 
 
-def test_a_search_ends_at_rest() -> None:
-    """One step is too few from far away; a parameter that is held does not move."""
+def test_a_search_ends_at_a_zero_of_the_score() -> None:
+    """One step from far away is not enough; a fixed parameter does not move."""
     data = ordinates_of(simulated("N=1 + K=0.05", 500, 1))
     models = models_of([("N", "K")], data.names)
     start = np.array([[0.0, -9.0, 0.0, 3.0]])
@@ -74,8 +74,8 @@ def test_a_search_ends_at_rest() -> None:
     assert partly.objective[0] > found.objective[0]
 
 
-def test_the_covariance_contains_undetermined_directions() -> None:
-    """Parameters of no information, or held, have variance inf; the others that of theirs alone."""
+def test_undetermined_parameters_have_infinite_variance() -> None:
+    """The other parameters have the covariance of a fit without them."""
     information = np.array([[4.0, 1.0, 0.0, 1.0], [1.0, 2.0, 0.0, 0.5], [0.0] * 4, [1.0, 0.5, 0.0, 3.0]])
     found = covariance(information, np.array([True, True, True, False]))
     npt.assert_allclose(found[:2, :2], np.linalg.inv(information[:2, :2]), rtol=1e-12)
@@ -83,8 +83,8 @@ def test_the_covariance_contains_undetermined_directions() -> None:
     npt.assert_array_equal(found[2:, :2], 0.0)
 
 
-def test_the_misfit_is_its_definition() -> None:
-    """Groups of eight degrees of freedom; a loop over them gives the same score."""
+def test_the_misfit_agrees_with_its_definition() -> None:
+    """The reference is a loop over groups of eight degrees of freedom."""
     data = ordinates_of(simulated("N=1 + K=0.05", 400, 2) + 0.01 * np.arange(400))
     model = models_of([("N", "R")], data.names)
     theta = np.zeros((1, 4))
@@ -104,8 +104,8 @@ def test_the_misfit_is_its_definition() -> None:
     assert found.p_value == pytest.approx(NormalDist().cdf(-found.statistic), rel=1e-9)
 
 
-def test_a_race_gives_up_who_is_far_behind_and_does_not_catch_up() -> None:
-    """Not in the first steps, not who gains a tenth of what is missing, and not the best."""
+def test_hopeless_candidates_are_given_up() -> None:
+    """Candidates are kept in the first steps, if they gain a tenth of the gap, and if they are the best."""
     value, gain = np.array([100.0, 110.0, 180.0, 180.0]), np.array([0.0, 0.0, 1.0, 9.0])
     assert given_up(value, gain, 2).tolist() == [False] * 4
     assert given_up(value, gain, 3).tolist() == [False, False, True, False]
@@ -113,8 +113,8 @@ def test_a_race_gives_up_who_is_far_behind_and_does_not_catch_up() -> None:
     assert given_up(value - [0, -15, 45, 45], gain, 20).tolist() == [False, True, True, False]
 
 
-def test_a_race_changes_nothing_for_the_best() -> None:
-    """They end where they end without it, to the digit; the others higher than they would."""
+def test_giving_up_candidates_does_not_change_the_best() -> None:
+    """Near candidates end at identical parameters; the others may end at a higher objective."""
     data = ordinates_of(simulated("N=1 + K=0.05", 20_000, 3))
     structures = [("N",), ("N", "K"), ("N", "B", "K"), ("K",), ("Q", "N")]
     models = models_of(structures, data.names, shortest=7.0)
@@ -128,7 +128,7 @@ def test_a_race_changes_nothing_for_the_best() -> None:
 
 
 def test_the_factor_of_the_only_term_is_the_root_of_the_mean_squared_residual() -> None:
-    """White noise lies in all groups alike; the model says too little where a walk is beside it."""
+    """White noise has equal weight in all groups; the data contain a random walk that the model lacks."""
     data = ordinates_of(simulated("N=1 + K=0.05", 400, 2))
     model = models_of([("N",)], data.names)
     theta = np.zeros((1, 4))
@@ -141,8 +141,8 @@ def test_the_factor_of_the_only_term_is_the_root_of_the_mean_squared_residual() 
     assert factors[1] == pytest.approx(np.sqrt(np.average(squares, weights=size)), rel=1e-9)
 
 
-def test_a_misfit_counts_for_the_terms_that_lie_there() -> None:
-    """A hump at high frequency makes N less sure and leaves K as it is."""
+def test_a_misfit_only_affects_terms_at_its_frequencies() -> None:
+    """A hump at high frequency widens N and does not change K."""
     data = ordinates_of(simulated("N=1 + K=0.05", 20_000, 3))
     model = models_of([("N", "K")], data.names)
     theta = np.array([[0.0, 0.0, 0.0, 2 * np.log(0.05)]])
@@ -155,8 +155,8 @@ def test_a_misfit_counts_for_the_terms_that_lie_there() -> None:
     assert found[3] == pytest.approx(plain[3], rel=0.01)
 
 
-def test_an_absent_law_has_the_factor_of_where_it_would_lie() -> None:
-    """Whatever its size: a walk that is too much for white noise alone would be at the lowest ordinates."""
+def test_an_absent_term_has_the_misfit_factor_of_its_frequencies() -> None:
+    """An unmodelled random walk raises the lowest ordinates, so K's factor is large."""
     data = ordinates_of(simulated("N=1 + K=0.05", 20_000, 4))
     found = evaluate(data, models_of([("N",)], data.names), np.zeros((1, 4)))
     factors = misfit_factors(data, found)

@@ -1,4 +1,4 @@
-"""A record in segments: their ordinates, the likelihood of their scales, and what a fit says of them."""
+"""Tests of the segments of a record: ordinates, the likelihood of their scales, and the fit's findings."""
 
 import numpy as np
 import numpy.testing as npt
@@ -23,13 +23,13 @@ from imucal.recording import AxisSeries, Sensor
 from tests.fitting.fits import fitted, simulated
 
 RATE_HZ = 100.0
-#: Divides into eight segments of a length whose transform is quick, so that none is cut at its end.
+#: Eight segments of a length with a fast transform, so that no segment is shortened.
 N = 8 * 4096
 FLAT = Band(fraction=1.0, order=(0, 0), poles=0, zeros=0, response=np.zeros(0))
 
 
 def axis(samples: np.ndarray, keep: np.ndarray | None = None) -> AxisSeries:
-    """Return an axis at 100 Hz, less the samples that are not kept."""
+    """Return an axis at 100 Hz with the kept samples only."""
     series = AxisSeries.from_samples(samples, rate_hz=RATE_HZ)
     return series if keep is None else series.keeping(keep)
 
@@ -61,28 +61,27 @@ def fit(samples: np.ndarray | AxisSeries, *, segments: int = 8, model: str = "au
     [(1_000_000, 8, 8), (10_000, 8, 4), (6143, 8, 0), (6144, 8, 3), (4096, 2, 2), (9999, 1, 0), (99, 8, 0)],
 )
 def test_short_records_have_fewer_segments_or_none(samples: int, wanted: int, count: int) -> None:
-    """2048 samples each, three at least where more were asked for; one segment shows nothing."""
+    """A segment has at least 2048 samples; if more than two are requested, at least three are needed."""
     assert number_of_segments(samples, wanted) == count
 
 
 def test_segments_have_the_power_of_their_samples() -> None:
-    """White noise of another size in each segment: the mean squares are the variances about the means."""
+    """The mean square of each of eight noise levels equals the variance about the segment's mean."""
     rng = np.random.default_rng(31)
     parts = [scale * rng.standard_normal(N // 8) for scale in (1, 2, 3, 4, 5, 6, 7, 8)]
     series = axis(np.concatenate(parts))
     npt.assert_allclose(white_levels(cut(series), series), [part.var(ddof=1) for part in parts], rtol=1e-9)
 
 
-def test_segments_lie_evenly_in_time() -> None:
-    """From the first sample to the last."""
+def test_segments_divide_the_record_evenly() -> None:
     found = cut(axis(np.random.default_rng(32).standard_normal(N)))
     assert found is not None
     npt.assert_allclose(found.start_s, np.arange(8) * N / 8 / RATE_HZ)
     npt.assert_allclose(found.end_s, np.arange(1, 9) * N / 8 / RATE_HZ)
 
 
-def test_what_the_fit_took_out_is_taken_out() -> None:
-    """A ramp, a warm-up, a step, a cycle and a lagging temperature leave the noise."""
+def test_disturbances_are_removed_from_the_segments() -> None:
+    """Only the noise remains after a ramp, a warm-up, a step, a cycle and a lagging temperature."""
     rng = np.random.default_rng(33)
     noise = rng.standard_normal(N)
     t, heat = np.arange(N, dtype=np.float64), np.cumsum(rng.standard_normal(N)) / 30
@@ -95,8 +94,8 @@ def test_what_the_fit_took_out_is_taken_out() -> None:
     npt.assert_allclose(white_levels(found, series), expected, rtol=1e-6)
 
 
-def test_a_long_gap_leaves_its_segment_out() -> None:
-    """The others stay where they are in time."""
+def test_a_segment_inside_a_long_gap_is_omitted() -> None:
+    """The times of the other segments do not change."""
     keep = np.ones(N, dtype=bool)
     keep[N // 4 - 100 : 3 * N // 8 + 100] = False
     found = cut(axis(np.random.default_rng(34).standard_normal(N), keep))
@@ -104,8 +103,8 @@ def test_a_long_gap_leaves_its_segment_out() -> None:
     npt.assert_allclose(found.start_s / (N / 8 / RATE_HZ), [0, 1, 3, 4, 5, 6, 7])
 
 
-def test_short_gaps_leave_the_level_as_it_is() -> None:
-    """A tenth of the samples missing in one half: white noise has its variance in every segment."""
+def test_short_gaps_do_not_bias_the_level() -> None:
+    """White noise has the same variance in all segments if a tenth of the samples is missing in one half."""
     rng = np.random.default_rng(35)
     keep = np.ones(N, dtype=bool)
     keep[: N // 2] = rng.random(N // 2) > 0.1
@@ -119,8 +118,8 @@ def test_short_gaps_leave_the_level_as_it_is() -> None:
     npt.assert_allclose(total[4:], 4095)
 
 
-def test_lines_of_the_record_are_left_out_of_its_segments() -> None:
-    """A tone as large as the noise, which is half of the power, is gone from every segment."""
+def test_spectral_lines_are_excluded_from_the_segments() -> None:
+    """A tone with the power of the noise leaves the level of every segment at 1."""
     rng = np.random.default_rng(36)
     tone = 1.4 * np.sin(2 * np.pi * 17.3 / RATE_HZ * np.arange(N))
     series = axis(rng.standard_normal(N) + tone)
@@ -128,7 +127,7 @@ def test_lines_of_the_record_are_left_out_of_its_segments() -> None:
 
 
 def parts(power: np.ndarray, *, size: float = 30.0) -> Parts:
-    """Return two tests of segments of 40 bins: of a flat part beside a steep one, and the other way round."""
+    """Return two tests of segments of 40 bins: of a flat part next to a steep one, and vice versa."""
     steep = np.tile(1 / np.linspace(0.1, 3, 40) ** 2, power.size // 40)
     flat, nothing = np.ones(power.size), np.zeros(power.size)
     return Parts(
@@ -144,13 +143,13 @@ def parts(power: np.ndarray, *, size: float = 30.0) -> Parts:
 
 
 def power_of(rng: np.random.Generator, levels: np.ndarray, *, size: float = 30.0) -> np.ndarray:
-    """Return squares of segments with a white level each, a steep part beside it and a little held."""
+    """Return segments of squares: a white level each, a steep part and a small constant part."""
     spectrum = 0.05 + np.repeat(levels, 40) + np.tile(1 / np.linspace(0.1, 3, 40) ** 2, levels.size)
     return np.asarray(spectrum * rng.chisquare(size, spectrum.size))
 
 
 def objective(of: Parts, test: int, logs: np.ndarray) -> float:
-    """Return -log L, written out, of logs of shape (g, 2)."""
+    """Return -log L of logarithmic scales of shape (g, 2), computed bin by bin."""
     total = 0.0
     for i, (size, power) in enumerate(zip(of.ordinates.size, of.ordinates.power, strict=True)):
         s = of.held[test, i] + np.exp(logs[i // 40]) @ of.varied[test, :, i]
@@ -159,8 +158,8 @@ def objective(of: Parts, test: int, logs: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("common", [False, True])
-def test_scales_are_where_the_likelihood_is_greatest(*, common: bool) -> None:
-    """Against a general minimiser of the likelihood written out."""
+def test_scales_maximise_the_likelihood(*, common: bool) -> None:
+    """The reference is BFGS on the likelihood computed bin by bin."""
     of = parts(power_of(np.random.default_rng(37), np.array([0.7, 1.0, 3.0])))
     found = of.fit(common=common)
     for test in range(2):
@@ -177,8 +176,8 @@ def test_scales_are_where_the_likelihood_is_greatest(*, common: bool) -> None:
         npt.assert_allclose(found.logs[test], unpacked(witness.x), atol=2e-3)
 
 
-def test_information_is_the_curvature_with_the_other_part_unknown() -> None:
-    """The inverse of the 2 x 2 information's inverse, at the expected power."""
+def test_information_accounts_for_the_unknown_other_part() -> None:
+    """The reference inverts the diagonal of the inverse 2 x 2 information at the expected power."""
     of = parts(power_of(np.random.default_rng(38), np.array([1.0, 1.0])))
     a, b = (of.varied[0] / (of.held[0] + of.varied[0].sum(axis=0)))[:, :40]
     matrix = 15.0 * np.array([[a @ a, a @ b], [a @ b, b @ b]])
@@ -187,8 +186,8 @@ def test_information_is_the_curvature_with_the_other_part_unknown() -> None:
 
 
 @pytest.mark.parametrize("steep", [1.0, 0.02, 0.0])
-def test_limits_of_a_sum_are_its_extremes_where_the_likelihood_allows_it(steep: float) -> None:
-    """Against every pair of scales on a dense grid; also where one of the two may be zero."""
+def test_limits_of_a_sum_are_its_extremes_in_the_likelihood_region(steep: float) -> None:
+    """The reference is a dense grid of all pairs of scales; one of the parts may be zero."""
     rng = np.random.default_rng(43)
     spectrum = 1.05 + steep / np.linspace(0.1, 3, 40) ** 2
     of = parts(np.concatenate([spectrum * rng.chisquare(3.0, 40) for _ in range(2)]), size=3.0).of(0)
@@ -206,8 +205,8 @@ def test_limits_of_a_sum_are_its_extremes_where_the_likelihood_allows_it(steep: 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("text", "rate"), [("N=1e-4 + B=1e-4 + K=2e-5", 10.0), ("N=1e-4 + B=3e-5", 10.0)])
-def test_floors_of_segments_hold_the_true_one(text: str, rate: float) -> None:
-    """93 to 99 of 100 do (`tests/benchmarks/coverage_auto.py`); those of one record miss together."""
+def test_intervals_of_the_segments_floors_cover_the_true_floor(text: str, rate: float) -> None:
+    """Coverage is 93 to 99 % (`tests/benchmarks/coverage_auto.py`); errors of one record are correlated."""
     held: list[bool] = []
     truth = NoiseModel.parse(text)
     for seed in range(12):
@@ -219,7 +218,7 @@ def test_floors_of_segments_hold_the_true_one(text: str, rate: float) -> None:
     assert np.mean(held) >= 0.85
 
 
-def test_order_of_segments_changes_no_test() -> None:
+def test_the_order_of_segments_does_not_matter() -> None:
     """Permuted segments have the same scales and likelihood."""
     power = power_of(np.random.default_rng(39), np.array([0.7, 1.0, 3.0, 1.5]))
     order = np.array([2, 0, 3, 1])
@@ -232,15 +231,15 @@ def test_order_of_segments_changes_no_test() -> None:
 
 
 def test_an_absent_part_does_not_stop_the_search() -> None:
-    """A part that the data do not have goes to nothing, and the other is found."""
+    """The scale of a part that the data do not contain tends to zero, and the other scale is found."""
     found = parts(1.05 * np.random.default_rng(40).chisquare(30, 80)).fit(common=False)
     # Four standard errors of 1200 degrees of freedom.
     npt.assert_allclose(np.exp(found.logs[0, :, 0]), 1.0, atol=4 * np.sqrt(2 / 1200) + 0.05)
     assert np.all(found.logs[0, :, 1] < -3)
 
 
-def test_a_stationary_record_is_called_so() -> None:
-    """No factor, no finding; N of the segments about N of the record, within four standard errors."""
+def test_a_stationary_record_has_no_finding() -> None:
+    """No interval is widened, and the segments' N agrees with the record's N within four standard errors."""
     found = fit(simulated("N=1 + B=0.3", N, 41, rate_hz=RATE_HZ))
     assert found.segments is not None
     assert not found.segments.changing
@@ -254,18 +253,18 @@ def test_a_stationary_record_is_called_so() -> None:
 
 
 def test_a_jump_of_the_noise_is_found_and_widens_the_interval() -> None:
-    """Four times the noise in the second half: both halves' times are named, and only N is blamed."""
+    """White noise is four times as large in the second half; only N is widened, both halves are named."""
     samples = simulated("N=0.001", N, 42, rate_hz=RATE_HZ) * np.where(np.arange(N) < N // 2, 1.0, 4.0)
     samples += simulated("B=0.0003", N, 43, rate_hz=RATE_HZ)
     found = fit(samples)
     assert found.segments is not None
     assert found.segments["N"].factor > 5
     assert found.segments["B"].factor == found.segments["K"].factor == 1.0
-    # Of halves that differ by 4: sd of the logs over eight.
+    # Standard deviation of eight logarithms, the halves of which differ by a factor of 4.
     assert found.segments["N"].spread == pytest.approx(np.log(4) / 2 * np.sqrt(8 / 7), rel=0.1)
     assert found.segments["N"].lowest_s[1] <= N / 2 / RATE_HZ <= found.segments["N"].highest_s[0]
-    (said,) = (f for f in found.findings if f.code == "nonstationary")
-    assert said.level == "warning"
+    (warning,) = (f for f in found.findings if f.code == "nonstationary")
+    assert warning.level == "warning"
     once = fit(samples, segments=1)
     assert once["N"].low > found["N"].low
     assert once["N"].high < found["N"].high
@@ -274,16 +273,16 @@ def test_a_jump_of_the_noise_is_found_and_widens_the_interval() -> None:
     assert found["N"].widening == found.segments["N"].factor
 
 
-def test_a_swing_within_the_segments_is_the_same_finding() -> None:
-    """80 % over 20 s, four periods a segment."""
+def test_a_swing_within_the_segments_is_reported_as_nonstationary() -> None:
+    """The level swings by 80 % with a period of 20 s, four times per segment."""
     swing = 1 + 0.8 * np.sin(2 * np.pi * np.arange(N) / RATE_HZ / 20)
     found = fit(simulated("N=0.001", N, 44, rate_hz=RATE_HZ) * swing)
-    (said,) = (f for f in found.findings if f.code == "nonstationary")
-    assert "period of 20" in said.text
+    (warning,) = (f for f in found.findings if f.code == "nonstationary")
+    assert "period of 20" in warning.text
 
 
-def test_a_change_of_the_slow_noise_is_not_blamed_on_the_white() -> None:
-    """Flicker that is five times as strong in one half."""
+def test_a_change_of_slow_noise_does_not_widen_white_noise() -> None:
+    """The flicker noise is five times as large in one half."""
     slow = simulated("B=0.0005", N, 45, rate_hz=RATE_HZ) * np.where(np.arange(N) < N // 2, 1.0, 5.0)
     found = fit(simulated("N=0.001", N, 46, rate_hz=RATE_HZ) + slow, model="N + B")
     assert found.segments is not None
@@ -293,16 +292,16 @@ def test_a_change_of_the_slow_noise_is_not_blamed_on_the_white() -> None:
     assert found["N"].widening == 1.0
 
 
-def test_one_segment_does_not_look() -> None:
-    """Nothing is said, and nothing is wider."""
+def test_one_segment_disables_the_test() -> None:
+    """There is neither a finding nor a wider interval."""
     samples = simulated("N=1", N, 47) * np.where(np.arange(N) < N // 2, 1.0, 4.0)
     found = fit(samples, segments=1)
     assert found.segments is None
     assert "nonstationary" not in {finding.code for finding in found.findings}
 
 
-def test_a_short_record_has_no_segments_and_no_word_of_them() -> None:
-    """Of 4000 samples the fit is as with one segment."""
+def test_a_short_record_has_no_segments_and_no_finding() -> None:
+    """A fit of 4000 samples is the same as with one segment."""
     samples = simulated("N=1 + K=0.1", 4000, 48)
     found, once = fit(samples), fit(samples, segments=1)
     assert found.segments is None
@@ -310,8 +309,8 @@ def test_a_short_record_has_no_segments_and_no_word_of_them() -> None:
     assert found.estimates == once.estimates
 
 
-def test_the_unit_of_the_samples_changes_no_test() -> None:
-    """A power of two is exact: every Q is the same, N of the segments scales."""
+def test_the_unit_of_the_samples_does_not_matter() -> None:
+    """Scaling by a power of two is exact: every Q stays the same and N scales."""
     samples = simulated("N=1 + B=0.5", N, 49, rate_hz=RATE_HZ)
     one, other = fit(samples).segments, fit(samples * 2.0**-20).segments
     assert one is not None
@@ -323,7 +322,7 @@ def test_the_unit_of_the_samples_changes_no_test() -> None:
 
 
 def test_segments_of_white_noise_in_another_order_have_the_same_q() -> None:
-    """Their N are the same numbers; only the record's own fit moves by a hair."""
+    """The segments have the same N; only the record's own fit changes slightly."""
     parts = np.split(np.random.default_rng(50).standard_normal(N), 8)
     one = fit(np.concatenate(parts), model="N").segments
     other = fit(np.concatenate([parts[i] for i in (3, 0, 7, 1, 6, 2, 5, 4)]), model="N").segments
@@ -332,14 +331,14 @@ def test_segments_of_white_noise_in_another_order_have_the_same_q() -> None:
     assert one["N"].statistic == pytest.approx(other["N"].statistic, rel=0.02)
 
 
-def test_heavy_tails_are_no_change() -> None:
-    """The mean squares of Student's t with 5 degrees of freedom vary more, and are allowed to."""
+def test_heavy_tails_are_not_reported_as_a_change() -> None:
+    """The mean squares of Student's t with 5 degrees of freedom vary more, and the test allows for it."""
     found = [fit(np.random.default_rng([51, i]).standard_t(5, N), model="N").segments for i in range(6)]
     assert sum(s is not None and bool(s.changing) for s in found) <= 1
 
 
-def test_gaps_and_segments_together() -> None:
-    """Long and short gaps in an accelerometer's stationary record: seven or eight segments, nothing found."""
+def test_a_stationary_record_with_gaps_has_no_finding() -> None:
+    """An accelerometer's record with long and short gaps has eight segments."""
     rng = np.random.default_rng(52)
     keep = rng.random(N) > 0.02
     keep[9000:9600] = False
@@ -353,7 +352,7 @@ def test_gaps_and_segments_together() -> None:
 
 
 def test_stationary_records_are_rarely_widened() -> None:
-    """Of 12 records of three truths: at most two (5 % would be 0.6; the chance of three is 2 %)."""
+    """At most 2 of 12 records of three truths are (0.6 are expected at 5 %; 3 have a probability of 2 %)."""
     truths = ("N=1e-3", "N=1e-3 + B=4e-4", "N=1e-3 + K=1e-4")
     wider = 0
     for i in range(12):
@@ -363,8 +362,8 @@ def test_stationary_records_are_rarely_widened() -> None:
     assert wider <= 2
 
 
-def test_a_calculation_that_fails_costs_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The fit stays as it is without segments, and a finding says that they were not looked at."""
+def test_a_failed_comparison_of_segments_keeps_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The estimates equal those of a fit with one segment, and a finding contains the error."""
 
     def failing(*_: object, **__: object) -> None:
         msg = "no"
@@ -376,5 +375,7 @@ def test_a_calculation_that_fails_costs_no_result(monkeypatch: pytest.MonkeyPatc
     found = fit(samples, model="N")
     assert found.segments is None
     assert found.estimates == once.estimates
-    (said,) = (f for f in found.findings if f.code == "nonstationary")
-    assert said.text == "The parts of the record are not compared: the calculation failed (LinAlgError: no)."
+    (warning,) = (f for f in found.findings if f.code == "nonstationary")
+    assert (
+        warning.text == "The parts of the record are not compared: the calculation failed (LinAlgError: no)."
+    )

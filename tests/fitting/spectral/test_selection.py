@@ -1,4 +1,4 @@
-"""Choice of the model."""
+"""Tests of model selection."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -37,8 +37,8 @@ from tests.fitting.fits import at_maximum, fitted, ordinates_of, simulated
         ("N=1 + R=1e-4", "N + R"),
     ],
 )
-def test_finds_the_true_structure(text: str, structure: str) -> None:
-    """Where all terms are detectable the true sum is chosen in at least nine of ten records."""
+def test_the_true_structure_is_selected(text: str, structure: str) -> None:
+    """If all terms are detectable, selection finds them in at least nine of ten records."""
     hits = 0
     for seed in range(10):
         data = ordinates_of(simulated(text, 60_000, seed))
@@ -49,8 +49,8 @@ def test_finds_the_true_structure(text: str, structure: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("poles", "corner"), [(1, 0.3), (2, 0.17), (3, 0.05)])
-def test_finds_the_best_structure_behind_a_filter(poles: int, corner: float) -> None:
-    """No choice is worse than the true structure, started from the truth."""
+def test_the_best_structure_behind_a_filter_is_selected(poles: int, corner: float) -> None:
+    """No selected model is worse than the true structure with a search from the truth."""
     text, truth = "N=1 + B=0.25", {"N": 1.0, "B": 0.25}
     for seed in range(40, 44):
         raw = simulated(text, 102_000, seed)
@@ -69,15 +69,15 @@ def test_finds_the_best_structure_behind_a_filter(poles: int, corner: float) -> 
         assert choice.criterion[0] <= 2 * best + cost + 0.01
 
 
-def test_tries_every_sum() -> None:
-    """Ninety-four structures of at most two Gauss-Markov terms, none twice, none without noise."""
+def test_every_sum_is_tried() -> None:
+    """There are 94 different structures with at most two Gauss-Markov terms, none without noise."""
     structures = all_structures(2)
     assert len(structures) == len(set(structures)) == 94
     assert () not in structures
     assert ("R",) not in structures
 
 
-def test_prices_of_a_parameter() -> None:
+def test_the_price_of_a_parameter() -> None:
     """BIC log n, Hannan-Quinn 2 log log n, AIC 2."""
     assert CRITERIA["bic"](1e6) == pytest.approx(np.log(1e6))
     assert CRITERIA["hq"](1e6) == pytest.approx(2 * np.log(np.log(1e6)))
@@ -85,7 +85,7 @@ def test_prices_of_a_parameter() -> None:
     assert CRITERIA["chance"](1e4) == CRITERIA["chance"](1e7) == 12
 
 
-def test_a_lower_price_never_chooses_fewer_parameters() -> None:
+def test_a_lower_price_never_selects_fewer_parameters() -> None:
     """AIC's model has at least as many parameters as BIC's."""
     samples = simulated("N=1 + B=0.05 + K=1e-3", 60_000, 1)
     rich, plain = (len(fitted(samples, criterion=c).parameters) for c in ("aic", "bic"))
@@ -93,7 +93,7 @@ def test_a_lower_price_never_chooses_fewer_parameters() -> None:
 
 
 def test_parameter_names() -> None:
-    """One Gauss-Markov term is GM, several are numbered; the columns are those of the candidates."""
+    """A single Gauss-Markov term is GM, several are numbered."""
     models = models_of([("N", "GM", "K"), ("N", "GM", "GM")], ())
     assert models.columns(np.zeros(8)) == [("N", 1), ("K", 3), ("GM.sigma", 4), ("GM.T", 6)]
     names = [name for name, _ in models[[1]].columns(np.zeros(8))]
@@ -101,13 +101,13 @@ def test_parameter_names() -> None:
 
 
 def test_candidates_count_their_parameters() -> None:
-    """A variance is one, a Gauss-Markov term two, a ramp one, a response its poles."""
+    """A variance has one, a Gauss-Markov term two, a ramp one, and a response one per pole."""
     candidates = models_of([("N",), ("N", "GM", "GM", "R")], ("R",), poles=[0, 2])
     assert candidates.parameters.tolist() == [1, 8]
 
 
 def test_exchangeable_terms_are_reported() -> None:
-    """A record too short to tell flicker from walk says so in words."""
+    """A short record cannot separate flicker noise from a random walk."""
     result = fitted(simulated("N=1 + B=0.15", 6000, 3))
     if len(result.candidates) > 1:
         finding = next(f for f in result.findings if f.code == "model-choice")
@@ -133,16 +133,15 @@ def test_exchangeable_terms_are_reported() -> None:
         ),
     ],
 )
-def test_refuses_what_it_does_not_know(arguments: dict[str, object], message: str) -> None:
-    """A wrong argument is a ValueError that lists what is known."""
+def test_unknown_arguments_are_rejected(arguments: dict[str, object], message: str) -> None:
+    """The ValueError lists the valid values."""
     series = AxisSeries.from_samples(simulated("N=1", 200, 1), rate_hz=1.0)
     with pytest.raises(ValueError) as caught:  # noqa: PT011 - the whole text is compared
         fit(series, **arguments)  # type: ignore[arg-type]
     assert str(caught.value) == message
 
 
-def test_a_curve_alone_is_not_enough_for_maximum_likelihood() -> None:
-    """The message names the methods that can do with a curve."""
+def test_maximum_likelihood_rejects_a_curve() -> None:
     series = AxisSeries.from_samples(simulated("N=1", 200, 1), rate_hz=1.0)
     curve = fit(series).curve
     with pytest.raises(ValueError, match="maximum likelihood needs the samples, got an Allan curve"):
@@ -150,7 +149,7 @@ def test_a_curve_alone_is_not_enough_for_maximum_likelihood() -> None:
 
 
 def _maximum(objective: Sequence[float], structures: list[Structure]) -> Fits:
-    """Return fits of some structures with known objectives; theta counts the rows."""
+    """Return fits of some structures with given objectives; theta is the row number."""
     rows = len(objective)
     return at_maximum(
         np.arange(rows, dtype=np.float64)[:, None],
@@ -163,7 +162,7 @@ def _maximum(objective: Sequence[float], structures: list[Structure]) -> Fits:
 
 
 def _models(structures: list[Structure], criterion: list[float], second: float = np.inf) -> RankedModels:
-    """Return ranked models whose best has a second maximum `second` below the first."""
+    """Return ranked models; the best has a second maximum `second` below the first."""
     return RankedModels(
         fits=_maximum([0.0] * len(structures), structures),
         criterion=np.array(criterion),
@@ -189,10 +188,10 @@ def _models(structures: list[Structure], criterion: list[float], second: float =
         ),
     ],
 )
-def test_models_that_do_as_well_are_named_with_what_they_differ_in(
+def test_near_models_are_reported_with_their_different_terms(
     structures: list[Structure], criterion: list[float], text: str | None
 ) -> None:
-    """Up to 6 from the best; where the choice is clear nothing is said."""
+    """Near models are within 6 of the best; without any there is no finding."""
     findings = choice_findings(_models(structures, criterion), "gyro_x")
     if text is None:
         assert findings == ()
@@ -202,15 +201,15 @@ def test_models_that_do_as_well_are_named_with_what_they_differ_in(
     assert finding.text == f"The record can't separate {text}"
 
 
-@pytest.mark.parametrize(("second", "said"), [(1.9, True), (2.0, False), (np.inf, False)])
-def test_a_second_maximum_is_reported_if_it_is_about_as_good(second: float, *, said: bool) -> None:
-    """Twice the log-likelihood within 4 of the best one's."""
+@pytest.mark.parametrize(("second", "reported"), [(1.9, True), (2.0, False), (np.inf, False)])
+def test_a_second_maximum_is_reported_if_it_is_about_as_good(second: float, *, reported: bool) -> None:
+    """Twice its log-likelihood is within 4 of the maximum."""
     findings = choice_findings(_models([("N", "GM")], [1.0], second), "gyro_x")
-    assert [(f.level, f.code) for f in findings] == ([("warning", "two-maxima")] if said else [])
+    assert [(f.level, f.code) for f in findings] == ([("warning", "two-maxima")] if reported else [])
 
 
 def test_near_models_are_listed_with_their_distance() -> None:
-    """The best at 0, those beyond 6 not at all."""
+    """The best has distance 0; models beyond 6 are omitted."""
     near = near_candidates(_models([("N",), ("N", "K"), ("B",)], [10.0, 16.0, 16.1]))
     assert [(c.structure, c.delta) for c in near] == [("N", 0.0), ("N + K", 6.0)]
 
@@ -225,13 +224,13 @@ def test_near_models_are_listed_with_their_distance() -> None:
         ([4.0], [0]),
     ],
 )
-def test_a_second_maximum_goes_on_where_it_is_another_one(objective: list[float], kept: list[int]) -> None:
-    """The best, and the next that is more than 0.02 and less than 10 worse."""
+def test_a_distinct_second_maximum_is_kept(objective: list[float], kept: list[int]) -> None:
+    """The best maximum is kept, and the next one if it is worse by more than 0.02 and less than 10."""
     assert _distinct(np.arange(len(objective)), np.array(objective)) == kept
 
 
 def test_candidates_are_ranked_by_their_best_maximum_and_its_price() -> None:
-    """Of two candidates with two maxima each: the best of each, its price, and how far the second is."""
+    """Two candidates with two or three maxima have a price and a distance to the second maximum."""
     structures: list[Structure] = [("N",), ("B",), ("N", "K")]
     ranked = _ranked(
         _maximum([7.0, 6.0, 5.0, 5.5, 5.01], [structures[i] for i in (0, 0, 2, 2, 2)]),
@@ -246,22 +245,20 @@ def test_candidates_are_ranked_by_their_best_maximum_and_its_price() -> None:
 
 
 @pytest.mark.parametrize("poles", [0, 2])
-def test_a_response_that_was_found_stays_in_the_first_round(
-    monkeypatch: pytest.MonkeyPatch, poles: int
-) -> None:
-    """Every start has its coefficients, held; they are free only after that. Without one all are free."""
-    rounds: list[dict[str, Any]] = []
+def test_the_response_is_fixed_in_the_first_round(monkeypatch: pytest.MonkeyPatch, poles: int) -> None:
+    """Every start has the coefficients of the found response; they are free in later rounds."""
+    calls: list[dict[str, Any]] = []
 
-    def watched(*args: Any, **named: Any) -> Fits:  # noqa: ANN401 - passed on as they are
-        rounds.append({"candidates": args[1], "theta": args[2].copy(), "free": named.get("free")})
+    def recorded(*args: Any, **named: Any) -> Fits:  # noqa: ANN401 - passed on as they are
+        calls.append({"candidates": args[1], "theta": args[2].copy(), "free": named.get("free")})
         return maximize(*args, **named)
 
-    monkeypatch.setattr(selection, "maximize", watched)
+    monkeypatch.setattr(selection, "maximize", recorded)
     response = np.array([0.5, 2.0])[:poles]
     band = Band(fraction=1.0, order=(poles, 0), poles=poles, zeros=0, response=response)
     data = ordinates_of(simulated("N=1", 2000, 1))
     choose(data, [("N",), ("N", "K")], criterion="bic", shortest=10.0, band=band if poles else None)
-    first, last = rounds[0], rounds[-1]
+    first, last = calls[0], calls[-1]
     width = first["candidates"].width
     assert (first["theta"][:, width - poles :] == response).all()
     expected = first["candidates"].free.copy()
