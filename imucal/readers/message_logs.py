@@ -37,8 +37,8 @@ class MessageReader:
         Raises ReadError if the log can't be read; ChoiceError if several topics fit or none does.
         """
         containers, form = self.open_files(path, options.progress)
-        with _closing(containers):
-            return read_log(_opened(containers, path, options, form), options)
+        with _opened(containers, path, options, form) as log:
+            return read_log(log, options)
 
     def describe(self, path: Path, options: ReadOptions) -> LogContents:
         containers, form = self.open_files(path, options.progress)
@@ -69,27 +69,19 @@ def _naming(path: Path) -> Iterator[None]:
         raise type(error)(f"{path}: {error}") from error
 
 
-def _closing(containers: Sequence[Container]) -> ExitStack:
-    closed = ExitStack()
-    for container in containers:
-        closed.callback(container.close)
-    return closed
-
-
 def describe_logs(
     containers: Sequence[Container], path: Path, options: ReadOptions, *, form: str
 ) -> LogContents:
     """Return the topics of a log's files, and close them."""
-    with _closing(containers):
-        log = _opened(containers, path, options, form)
-        contents = describe_topics(log, options)
+    with _opened(containers, path, options, form) as log:
+        topics = describe_topics(log, options)
     starts = [c.start_ns for c in containers if c.start_ns is not None]
     ends = [c.end_ns for c in containers if c.end_ns is not None]
     return LogContents(
         path=str(path),
         format=form,
         size_bytes=sum(container.size for container in containers),
-        topics=contents,
+        topics=topics,
         start_ns=min(starts, default=None),
         duration_s=(max(ends) - min(starts)) / 1e9 if starts and ends else None,
         compression=", ".join(sorted({container.compression for container in containers})),
@@ -97,11 +89,17 @@ def describe_logs(
     )
 
 
-def _opened(containers: Sequence[Container], path: Path, options: ReadOptions, form: str) -> OpenLog:
-    with _naming(path):
-        topics = find_topics(containers, options)
-    findings = [finding for container in containers for finding in container.findings]
-    return OpenLog(path, form, topics, findings, containers)
+@contextmanager
+def _opened(
+    containers: Sequence[Container], path: Path, options: ReadOptions, form: str
+) -> Iterator[OpenLog]:
+    with ExitStack() as closed:
+        for container in containers:
+            closed.callback(container.close)
+        with _naming(path):
+            topics = find_topics(containers, options)
+        findings = [finding for container in containers for finding in container.findings]
+        yield OpenLog(path, form, topics, findings, containers)
 
 
 def describe_topics(log: OpenLog, options: ReadOptions) -> tuple[TopicContents, ...]:

@@ -94,8 +94,28 @@ class _Values:
     """Columns read of a topic by index, and the log times."""
 
     topic: Topic
+    temperature: int | None
     columns: Mapping[int, NDArray[Any]]
     log: Sequence[IntArray]
+
+    def of(self, sensor: SensorPlan, axes: Mapping[Sensor, list[FloatArray]], room: Room) -> SensorColumns:
+        topic, heat, rows = self.topic, None, sensor.triad.rows
+        if self.temperature is not None:
+            heat = np.asarray(self.columns[self.temperature], np.float64)
+        # One sensor alone may repeat values by chance.
+        compared = list(chain.from_iterable(axes.values())) if len(axes) > 1 else []
+        columns = SensorColumns(
+            plan=sensor,
+            axes=axes[sensor.triad.sensor],
+            time=self.times(sensor.time),
+            log_time=self.times(sensor.log_time),
+            temperature=heat if heat is not None and heat.any() else None,
+            sparse=topic.sparse,
+            table="" if topic.file else topic.where,
+            source=self.source(sensor.time),
+            compared=None if topic.held else compared,
+        )
+        return columns if rows is None else columns.rows(self.rows(rows), room)
 
     def axes(self, sensor: SensorPlan, limit: int) -> list[FloatArray]:
         """Return a sensor's samples; copies if in memory, because samples are scaled in place."""
@@ -139,7 +159,8 @@ def sensor_columns(work: RecordingBuilder, job: Job, block: Block) -> list[Senso
     """Return the columns of each sensor; constant samples become a finding."""
     topic, plan = job.topic, job.plan
     log = [] if topic.held else [block[0]]
-    values = _Values(topic, dict(zip(job.indices, block[len(log) :], strict=True)), log)
+    columns = dict(zip(job.indices, block[len(log) :], strict=True))
+    values = _Values(topic, plan.temperature, columns, log)
     if log:
         time = plan.sensors[0].time
         stamps = values.columns[time.indices[0]] if time and time.indices else log[0]
@@ -152,34 +173,7 @@ def sensor_columns(work: RecordingBuilder, job: Job, block: Block) -> list[Senso
     ]
     work.findings += [_without_data(topic, sensor, axes[sensor]) for sensor in constant]
     living = [sensor for sensor in plan.sensors if sensor.triad.sensor not in constant]
-    return [_columns(work, job, values, sensor, axes) for sensor in living]
-
-
-def _columns(
-    work: RecordingBuilder,
-    job: Job,
-    values: _Values,
-    sensor: SensorPlan,
-    axes: Mapping[Sensor, list[FloatArray]],
-) -> SensorColumns:
-    topic, heat = job.topic, None
-    if job.plan.temperature is not None:
-        heat = np.asarray(values.columns[job.plan.temperature], np.float64)
-    # One sensor alone may repeat values by chance.
-    compared = list(chain.from_iterable(axes.values())) if len(axes) > 1 else []
-    columns = SensorColumns(
-        plan=sensor,
-        axes=axes[sensor.triad.sensor],
-        time=values.times(sensor.time),
-        log_time=values.times(sensor.log_time),
-        temperature=heat if heat is not None and heat.any() else None,
-        sparse=topic.sparse,
-        table="" if topic.file else topic.where,
-        source=values.source(sensor.time),
-        compared=None if topic.held else compared,
-    )
-    rows = sensor.triad.rows
-    return columns if rows is None else columns.rows(values.rows(rows), work.room)
+    return [values.of(sensor, axes, work.room) for sensor in living]
 
 
 def _without_data(topic: Topic, sensor: Sensor, rows: Sequence[FloatArray]) -> Finding:

@@ -8,7 +8,6 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TypeAlias
 from uuid import uuid4
@@ -67,24 +66,12 @@ _DEFAULT_SIZE = 10 << 30
 _MARGIN = 1 << 24
 
 
-@dataclass(frozen=True, slots=True)
 class Entry:
     """The paths of a log in the cache."""
 
-    root: Path
-    key: str
-
-    @property
-    def lock(self) -> Path:
-        return self.root / f"{self.key}.lock"
-
-    @property
-    def whole(self) -> Path:
-        return self.root / self.key
-
-    @property
-    def part(self) -> Path:
-        return self.root / f"{self.key}.part"
+    def __init__(self, root: Path, key: str) -> None:
+        self.root = root
+        self.lock, self.whole, self.part = root / f"{key}.lock", root / key, root / f"{key}.part"
 
     def path(self, log: RemoteLog) -> Path:
         return self.whole / log.name

@@ -84,35 +84,28 @@ class Line:
         return self.kind in _TIMES
 
 
+@dataclass(slots=True, eq=False)
 class Definition:
     """The definition of a message type, as parsed by rosbags.
 
     `given` contains texts of further types by ``package/Name``; if it is not None, standard types are known.
     """
 
-    def __init__(
-        self,
-        name: str,
-        types: Mapping[str, Any],
-        *,
-        ros1: bool,
-        given: Mapping[str, str] | None = None,
-    ) -> None:
-        self.name = long_type(name)
-        self.ros1 = ros1
-        self.types = dict(types)
-        self._given = given
+    name: str
+    types: dict[str, Any]
+    ros1: bool
+    given: Mapping[str, str] | None = None
 
     def lines(self, name: str) -> list[Line]:
         if name not in self.types:
-            text = definition_of(name, self._given or {})
+            text = definition_of(name, self.given or {})
             if text is not None:
                 self.types |= _parsed(name, text)
-            elif self._given is not None and name in (standard := standard_types(ros1=self.ros1)):
+            elif self.given is not None and name in (standard := standard_types(ros1=self.ros1)):
                 self.types[name] = standard[name]
             else:
                 msg = f"type {plain_type(name)} is not defined"
-                if self._given is not None:
+                if self.given is not None:
                     msg += f"; also give its .msg file, {name.rpartition('/')[2]}.msg"
                 raise DefinitionError(msg)
         return [_line(*member) for member in self.types[name][1]]
@@ -223,14 +216,14 @@ def standard_types(*, ros1: bool) -> Mapping[str, Any]:
 
 def defined(name: str, text: str, *, ros1: bool, given: Mapping[str, str] | None = None) -> Definition:
     """Return the definition of a type from its text; raises DefinitionError if it can't be read."""
-    types = _parsed(long_type(name), text)
-    return Definition(name, types, ros1=ros1, given=given)
+    name = long_type(name)
+    return Definition(name, dict(_parsed(name, text)), ros1, given)
 
 
 def built_in(name: str, *, ros1: bool) -> Definition | None:
     """Return the definition of a standard ROS type; None for others."""
-    types = standard_types(ros1=ros1)
-    return Definition(name, types, ros1=ros1) if long_type(name) in types else None
+    name, types = long_type(name), standard_types(ros1=ros1)
+    return Definition(name, dict(types), ros1) if name in types else None
 
 
 def read_definitions(paths: Sequence[Path]) -> dict[str, str]:

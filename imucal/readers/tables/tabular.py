@@ -14,7 +14,7 @@ import numpy as np
 from imucal.arrays import BoolArray, FloatArray, IntArray, blocks, release
 from imucal.clock import Clock
 from imucal.errors import ChoiceError, DataError, ImucalError, as_one
-from imucal.findings import Finding, Level
+from imucal.findings import Finding
 from imucal.frozen import frozen_alone
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.clocks import LOG_TIME, ClockReading, clock_from_stamps, compare_clocks, repeats
@@ -75,16 +75,16 @@ class SensorColumns:
     compared: Sequence[FloatArray] | None = None
 
     def rows(self, keep: BoolArray, room: Room) -> "SensorColumns":
-        temperature = [] if self.temperature is None else [self.temperature]
-        lists: list[Sequence[Any]] = [self.axes, self.time, self.log_time, temperature, self.compared or ()]
-        axes, time, log_time, heat, others = ([room.chosen(row, keep) for row in one] for one in lists)
+        def kept(columns: Sequence[Any]) -> list[Any]:
+            return [room.chosen(column, keep) for column in columns]
+
         return replace(
             self,
-            axes=axes,
-            time=time,
-            log_time=log_time,
-            temperature=next(iter(heat), None),
-            compared=None if self.compared is None else others,
+            axes=kept(self.axes),
+            time=kept(self.time),
+            log_time=kept(self.log_time),
+            temperature=None if self.temperature is None else room.chosen(self.temperature, keep),
+            compared=None if self.compared is None else kept(self.compared),
         )
 
 
@@ -104,7 +104,9 @@ def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
         text = f"the time unit {unit} does not apply: {has}; omit it, or name another time column"
         raise refused(work.path, text, ChoiceError)
     source = columns.source or f"column {plan.time.name}"
-    stamps, log = stamps_of(work, plan.time, columns.time, plan.triad.sensor), _log_stamps(work, columns)
+    sensor = plan.triad.sensor
+    stamps = stamps_of(work, plan.time, columns.time, sensor)
+    log = stamps_of(work, plan.log_time, columns.log_time, sensor)
     stamps, source = (log, LOG_TIME) if stamps is None else (stamps, source)
     if stamps is None:
         return _counted_clock(work, replace(columns, plan=replace(plan, time=None)))
@@ -117,20 +119,11 @@ def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
         repeated=_sent_twice(work, stamps, columns),
         room=work.room,
     )
-    reading = reading if log is None or reading.clock.source != source else _compared(reading, stamps, log)
+    if log is not None and reading.clock.source == source:
+        reading = replace(reading, findings=(*reading.findings, *compare_clocks(stamps, log)))
     work.decide("time", reading.clock.source if columns.source else f"{source}, {plan.time.words}")
     _compare_rates(work, reading.clock.rate_hz)
     return reading
-
-
-def _compared(reading: ClockReading, stamps: IntArray, log: IntArray) -> ClockReading:
-    return replace(reading, findings=(*reading.findings, *compare_clocks(stamps, log)))
-
-
-def _add_finding(work: RecordingBuilder, level: Level, code: str, text: str, **more: Any) -> None:  # noqa: ANN401
-    finding = Finding(level, code, text, **more)
-    if finding not in work.findings:
-        work.findings.append(finding)
 
 
 def _sent_twice(work: RecordingBuilder, stamps: IntArray, columns: SensorColumns) -> BoolArray | None:
@@ -146,7 +139,7 @@ def _sent_twice(work: RecordingBuilder, stamps: IntArray, columns: SensorColumns
         "written faster than the sensor was read."
     )
     advice = "Log each sample once: repeated samples distort the curve at short averaging times."
-    _add_finding(work, "warning", "held-samples", text, axis=sensor.short, advice=advice)
+    work.findings.append(Finding("warning", "held-samples", text, advice, axis=sensor.short))
     return None
 
 
@@ -158,18 +151,15 @@ def _compare_rates(work: RecordingBuilder, measured: float) -> None:
             "used."
         )
         advice = "Give the sampling rate if the time stamps are wrong."
-        _add_finding(work, "warning", "rate-differs", text, advice=advice)
-
-
-def _log_stamps(work: RecordingBuilder, columns: SensorColumns) -> IntArray | None:
-    time, sensor = columns.plan.log_time, columns.plan.triad.sensor
-    return stamps_of(work, time, columns.log_time, sensor) if time else None
+        work.findings.append(Finding("warning", "rate-differs", text, advice))
 
 
 def stamps_of(
-    work: RecordingBuilder, time: TimeChoice, columns: Sequence[Numbers], sensor: Sensor
+    work: RecordingBuilder, time: TimeChoice | None, columns: Sequence[Numbers], sensor: Sensor
 ) -> IntArray | None:
-    """Return stamps in ns; None if the given rate contradicts the counts in every unit."""
+    """Return stamps in ns; None without a time, or if the given rate contradicts the counts in every unit."""
+    if time is None:
+        return None
     room = work.room
     if time.kind == "ns":
         return cast("IntArray", columns[0])
@@ -182,7 +172,7 @@ def stamps_of(
         values, wraps = unwrapped(cast("IntArray", values), room)
         if wraps:
             again = f"Column {time.name} started again {wraps} times at the end of its range"
-            _add_finding(work, "info", "wrapped", f"{again}; it was unwrapped.")
+            work.findings.append(Finding("info", "wrapped", f"{again}; it was unwrapped."))
     ns = _ns_per_count(work, time, values, sensor)
     return None if ns is None else to_ns(values, ns, room)
 
@@ -213,7 +203,8 @@ def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sen
         work.decide("time unit", f"{time.name} counts samples at the given rate")
         return max(1, round(_SECOND / rate))
     found = f"Column {time.name} increases by {step:g} per row, which is not {rate:g} Hz in any unit"
-    _add_finding(work, "warning", "time-unused", f"{found}; it is ignored, so gaps are not found.")
+    text = f"{found}; it is ignored, so gaps are not found."
+    work.findings.append(Finding("warning", "time-unused", text))
     return None
 
 
@@ -262,7 +253,7 @@ def _counted_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReadi
     single = sum(count(np.diff(counts[part.start : part.stop + 1]) == 1) for part in rows)
     if counts.size < 2 or single < 0.9 * (counts.size - 1):
         more = f"Counter {plan.time.name} does not count samples, so it can't show gaps"
-        _add_finding(work, "info", "counter-unused", f"{more}; only the rate is used.")
+        work.findings.append(Finding("info", "counter-unused", f"{more}; only the rate is used."))
         return even
     period, first = _SECOND / rate, int(counts[0])
     reading = clock_from_stamps(
@@ -397,9 +388,9 @@ def contents_of(
     return replace(contents, topics=(topic,), start_ns=first.clock.start_ns, duration_s=first.duration_s)
 
 
-def of_a_part(contents: LogContents, count: int | None = None) -> LogContents:
-    """Return a description made from the start of a table, with `count` rows."""
-    topics = tuple(replace(topic, count=count, duration_s=None) for topic in contents.topics)
+def of_a_part(contents: LogContents) -> LogContents:
+    """Return a description made from the start of a table."""
+    topics = tuple(replace(topic, count=None, duration_s=None) for topic in contents.topics)
     return replace(contents, topics=topics, duration_s=None)
 
 
@@ -413,11 +404,9 @@ def _of_sensor(work: RecordingBuilder, columns: SensorColumns) -> SensorColumns:
             before = count(keep)
             for part in blocks(n, column, keep):
                 keep[part] &= np.isfinite(column[part])
-            lost = before - count(keep)
-            if lost:
-                _add_finding(
-                    work, "warning", "bad-rows", f"{lost} rows have no finite time; they were dropped."
-                )
+            if lost := before - count(keep):
+                text = f"{lost} rows have no finite time; they were dropped."
+                work.findings.append(Finding("warning", "bad-rows", text))
     if count(keep) == n:
         return columns
     return replace(columns.rows(keep, room), rows_left=blake2b(keep.data).digest())

@@ -124,17 +124,16 @@ def read_table(
     groups: dict[Rows, list[SensorPlan]] = {}
     for sensor in plan.sensors:
         groups.setdefault(sensor.triad.rows, []).append(sensor)
-    how: dict[str, Any] = {"temperature": plan.temperature, "limit": options.memory_limit}
-    how["expected"] = 0 if head else source.expected_rows
-    readers = [_reader(source.head, layout, group, **how) for group in groups.values()]
+    plans = [replace(plan, sensors=tuple(group)) for group in groups.values()]
+    expected = 0 if head else source.expected_rows
+    readers = [_reader(source.head, layout, part, options.memory_limit, expected) for part in plans]
     blocks = [("\n".join(source.head) + "\n").encode()] if head else source.blocks()
     cut = _read_blocks(blocks, layout, readers)
     findings = _row_findings(source, cut, layout, readers, strict=options.strict)
     sensors = []
-    for reader, group in zip(readers, groups.values(), strict=True):
-        values = {index: column.take() for index, column in reader.columns.items()}
+    for reader, part in zip(readers, plans, strict=True):
         if reader.good:
-            sensors += [_columns(reader, sensor, values, plan.temperature) for sensor in group]
+            sensors += _columns(reader, part)
     if not sensors:
         text = "the table has no rows of its sensors; expected a row per sample"
         raise refused(source.name, text, DataError)
@@ -165,27 +164,21 @@ def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tu
 
 
 def _reader(
-    lines: Sequence[str],
-    layout: TextLayout,
-    sensors: Sequence[SensorPlan],
-    *,
-    temperature: int | None,
-    limit: int | None,
-    expected: int,
+    lines: Sequence[str], layout: TextLayout, plan: TablePlan, limit: int | None, expected: int
 ) -> BlockReader:
-    rows = sensors[0].triad.rows
+    rows = plan.sensors[0].triad.rows
     layout = _of_rows(lines, layout, rows)
     kinds: dict[int, Kind] = {}
-    times = [time for sensor in sensors for time in (sensor.time, sensor.log_time) if time is not None]
-    for sensor in sensors:
+    times = [time for sensor in plan.sensors for time in (sensor.time, sensor.log_time) if time is not None]
+    for sensor in plan.sensors:
         kinds |= dict.fromkeys(sensor.triad.indices, "float")
     for time in times:
         text = time.kind == "text"
         kinds |= {index: kind_of(layout.cells(index), text=text) for index in time.indices}
     # A row without its last cell was truncated, perhaps within a number.
     needed = frozenset(index for index in (*kinds, layout.width - 1) if all(layout.cells(index)))
-    if temperature is not None:
-        kinds.setdefault(temperature, "float")
+    if plan.temperature is not None:
+        kinds.setdefault(plan.temperature, "float")
     return BlockReader(
         layout=layout,
         kinds=kinds,
@@ -252,21 +245,23 @@ def _row_findings(
     return findings
 
 
-def _columns(
-    reader: BlockReader, sensor: SensorPlan, values: dict[Any, Any], temperature: int | None
-) -> SensorColumns:
+def _columns(reader: BlockReader, plan: TablePlan) -> list[SensorColumns]:
+    values: dict[Any, Any] = {index: column.take() for index, column in reader.columns.items()}
+
     def of(time: TimeChoice | None) -> tuple[Any, ...]:
         return tuple(values[index] for index in time.indices) if time else ()
 
-    indices = sensor.triad.indices
-    return SensorColumns(
-        plan=sensor,
-        axes=[values[index] for index in indices],
-        time=of(sensor.time),
-        log_time=of(sensor.log_time),
-        temperature=values.get(temperature),
-        sparse=not reader.needed.issuperset(indices),
-    )
+    return [
+        SensorColumns(
+            plan=sensor,
+            axes=[values[index] for index in sensor.triad.indices],
+            time=of(sensor.time),
+            log_time=of(sensor.log_time),
+            temperature=values.get(plan.temperature),
+            sparse=not reader.needed.issuperset(sensor.triad.indices),
+        )
+        for sensor in plan.sensors
+    ]
 
 
 _ZIP = b"PK\x03\x04"

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,13 +74,6 @@ class TypedColumn:
     unit: str | None = None
 
 
-class Arrays(NamedTuple):
-    """The numeric arrays in a file by dotted name, and objects, which only MATLAB reads: name -> class."""
-
-    arrays: dict[str, NDArray[Any]]
-    objects: dict[str, str]
-
-
 def _parquet_parts(path: Path, _objects: dict[str, str]) -> Iterator[Part]:
     import polars as pl
 
@@ -111,27 +104,30 @@ def _mat_parts(path: Path, objects: dict[str, str]) -> Iterator[Part]:
     import scipy.io
 
     content = scipy.io.loadmat(str(path), squeeze_me=True, struct_as_record=True)
-    found = Arrays({}, objects)
     for name, value in content.items():
         if not name.startswith("__"):
-            _flatten(name, value, found)
-    yield from ((name, 0, [array]) for name, array in found.arrays.items())
+            yield from ((label, 0, [array]) for label, array in _flatten(name, value, objects))
 
 
-def _flatten(name: str, value: Any, found: Arrays, depth: int = 0) -> None:  # noqa: ANN401
+def _flatten(
+    name: str,
+    value: Any,  # noqa: ANN401
+    objects: dict[str, str],
+    depth: int = 0,
+) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield the numeric arrays by dotted name; add `objects`, which only MATLAB reads: name -> class."""
     array = np.asarray(value)
     if array.dtype.names == _OBJECT and array.size == 1:
         own, _, kind, _ = array.item()
-        found.objects[name if own is None or name != "None" else own.decode("latin-1")] = kind.decode(
-            "latin-1"
-        )
+        label = name if own is None or name != "None" else own.decode("latin-1")
+        objects[label] = kind.decode("latin-1")
     elif array.dtype.names is not None and depth < _MAX_DEPTH:
         for part in array.dtype.names:
             inner = array[part]
             inner = inner.item() if inner.dtype == object and inner.size == 1 else inner
-            _flatten(f"{name}.{part}", inner, found, depth + 1)
+            yield from _flatten(f"{name}.{part}", inner, objects, depth + 1)
     elif array.dtype.kind in "biufM":
-        found.arrays[name] = array
+        yield name, array
 
 
 def _hdf5_parts(path: Path, objects: dict[str, str]) -> Iterator[Part]:
@@ -211,17 +207,17 @@ def open_table(path: Path) -> TableFile:
             return _of_arrays(kind.lower(), taken(found, target), objects)
     try:
         if kind == "NPZ":
-            arrays = Arrays(*npz_arrays(path))
+            arrays, objects = npz_arrays(path)
         else:
-            arrays = Arrays({"": np.load(path, mmap_mode="r", allow_pickle=False)}, {})
+            arrays, objects = {"": np.load(path, mmap_mode="r", allow_pickle=False)}, {}
     except ImucalError:
         raise
     except Exception as error:
         # `zipfile`, Python's parser and others have their own errors.
         raise refused(path, f"not a readable {kind} file: {str(error) or type(error).__name__}") from error
-    if arrays.objects:
+    if objects:
         raise refused(path, f"not a readable NPZ file: {OBJECTS_IN_NPZ.advice(str(path))}")
-    return _of_arrays(kind.lower(), *arrays)
+    return _of_arrays(kind.lower(), arrays)
 
 
 def _of_arrays(

@@ -13,7 +13,7 @@ from imucal.errors import ChoiceError
 from imucal.readers.messages.topics import cells_of
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables import typed_table
-from imucal.readers.tables.typed_table import Arrays, _flatten, _of_array, _of_arrays, _plain, open_table
+from imucal.readers.tables.typed_table import _flatten, _of_array, _of_arrays, _plain, open_table
 
 
 def shapes(name: str, array: Any) -> list[tuple[str, int]]:  # noqa: ANN401 - an array
@@ -110,17 +110,15 @@ def nested(depth: int) -> Any:  # noqa: ANN401 - an array of structures
 def test_structures_of_matlab_are_flattened() -> None:
     """The limit is eight levels; texts are omitted."""
     for depth, names in ((0, ["x"]), (8, ["x" + ".a" * 8]), (9, [])):
-        found = Arrays({}, {})
-        _flatten("x", nested(depth), found)
-        assert list(found.arrays) == names
-    found = Arrays({}, {})
+        assert [name for name, _ in _flatten("x", nested(depth), {})] == names
+    found: list[str] = []
     for name, value in (
         ("text", "abc"),
         ("cube", np.zeros((2, 2, 2))),
         ("flags", np.ones((2, 2), dtype=bool)),
     ):
-        _flatten(name, value, found)
-    assert list(found.arrays) == ["cube", "flags"]
+        found += [label for label, _ in _flatten(name, value, {})]
+    assert found == ["cube", "flags"]
 
 
 def test_hidden_names_of_matlab_are_not_columns(tmp_path: Path) -> None:
