@@ -261,9 +261,9 @@ class LogRequest:
     ) -> "Report":
         """Read and characterise the log, or only its `rests`, with progress bars."""
         from imucal.pipeline import characterize
-        from imucal.readers.checksums import Checksums
+        from imucal.readers.checksums import checksums_of
 
-        with lent(self.logs) as logs, Checksums(logs.paths) as checksums:
+        with lent(self.logs) as logs, checksums_of(logs.paths) as files_of_logs:
             recording = self._read(logs)
             if rests:
                 from imucal.rests import at_rest
@@ -271,7 +271,7 @@ class LogRequest:
                 recording = at_rest(recording)
             with progress(*FITTING) as update:
                 report = characterize(recording, settings, progress=update, workers=workers)
-            files = (*report.source.files, *logs.named_files(checksums.files()))
+            files = (*report.source.files, *logs.named_files(files_of_logs()))
             return replace(report, source=replace(report.source, files=files))
 
     def settings(self) -> dict[str, object]:

@@ -1,6 +1,8 @@
 """Read bytes of a log file from any thread."""
 
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
@@ -13,6 +15,15 @@ Refusal = TypeVar("Refusal", bound=ImucalError)
 def refused(where: object, text: str, kind: type[Refusal] = ReadError) -> Refusal:  # type: ignore[assignment]
     """Return the error for a log that can't be read; `text` contains the problem and advice."""
     return kind(f"{where}: {text}")
+
+
+@contextmanager
+def refusing(where: object, text: str) -> Iterator[None]:
+    """Convert errors of the operating system to ReadError; `text` is such as ``can't be opened``."""
+    try:
+        yield
+    except OSError as error:
+        raise refused(where, f"{text}: {error.strerror or error}") from error
 
 
 class DamagedError(Exception):
@@ -31,22 +42,17 @@ def damaged_if(wrong: object, text: str, code: str = "damaged") -> None:
 
 def first_bytes(path: Path, size: int) -> bytes:
     """Return the first bytes of a file; raises ReadError if it can't be opened."""
-    try:
-        with path.open("rb") as file:
-            return file.read(size)
-    except OSError as error:
-        raise refused(path, f"can't be opened: {error.strerror or error}") from error
+    with refusing(path, "can't be opened"), path.open("rb") as file:
+        return file.read(size)
 
 
 class LogFile:
     """A file read by absolute position; thread-safe."""
 
     def __init__(self, path: Path) -> None:
-        try:
+        with refusing(path, "can't be opened"):
             self._file = path.open("rb")
             self.size = path.stat().st_size
-        except OSError as error:
-            raise refused(path, f"can't be opened: {error.strerror or error}") from error
         self.path = path
         self._lock = threading.Lock()
 
@@ -71,6 +77,7 @@ class LogFile:
         return data
 
     def _bytes(self, position: int, size: int) -> bytes:
+        # A scan calls this for each record, so it does not use `refusing`.
         try:
             with self._lock:
                 self._file.seek(position)

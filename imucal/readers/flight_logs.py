@@ -22,14 +22,15 @@ from imucal.readers.contents import LogContents
 from imucal.readers.files import first_bytes, refused
 from imucal.readers.isolation import isolated, require
 from imucal.readers.message_logs import OpenLog, describe_topics, read_log
+from imucal.readers.messages.plain import quotient
 from imucal.readers.messages.topics import Column, Topic, held_topic
 from imucal.readers.messages.trees import TIME
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.dialects import Dialect
 from imucal.recording import AXES, Recording
 
-#: Signatures of a ULog, and of a record of a dataflash log.
-ULOG, DATAFLASH = b"ULog\x01\x12\x35", b"\xa3\x95"
+#: Signature of a ULog.
+ULOG = b"ULog\x01\x12\x35"
 
 #: Field -> values, shape (n,) each.
 Fields: TypeAlias = Mapping[str, NDArray[Any]]
@@ -110,11 +111,8 @@ def columns_of(message: str, fields: Fields, names: Sequence[str]) -> Fields:
 
 def _rates(fields: Fields) -> Iterator[tuple[str, NDArray[Any]]]:
     for step, names in (("delta_angle", _GYRO), ("delta_velocity", _ACCEL)):
-        over = np.asarray(fields[f"{step}_dt"], np.float64) * 1e-6
-        over[over <= 0] = np.nan
-        yield from (
-            (name, np.asarray(fields[f"{step}[{i}]"], np.float64) / over) for i, name in enumerate(names)
-        )
+        micros = fields[f"{step}_dt"]
+        yield from ((name, quotient(fields[f"{step}[{i}]"], micros)) for i, name in enumerate(names))
 
 
 def _of_fifo(fields: Fields, last: IntArray, good: NDArray[np.bool_]) -> Iterator[tuple[str, NDArray[Any]]]:
@@ -198,14 +196,11 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
 def _open(path: Path, options: ReadOptions) -> tuple[OpenLog, ReadOptions]:
     """Return the topics of a log, and the options with the log's names."""
     if first_bytes(path, len(ULOG)).startswith(ULOG[:4]):
-        form, maker, log = "ulog", "PX4", isolated(path, ulog_content, "ULog")(path.absolute())
+        form, maker, kind, content = "ulog", "PX4", "ULog", ulog_content
     else:
         require(path, "pymavlink", "a log of ArduPilot", extra="ardupilot")
-        form, maker, log = (
-            "dataflash",
-            "ArduPilot",
-            isolated(path, dataflash_content, "ArduPilot")(path.absolute()),
-        )
+        form, maker, kind, content = "dataflash", "ArduPilot", "ArduPilot", dataflash_content
+    log = isolated(path, content, kind)(path.absolute())
     dialect = Dialect(name=maker, headers=(), gyro_unit="rad/s", accel_unit="m/s^2")
     names = [name for name, _ in log.messages]
     labels = {f"{name}:{n}": f"{name}:{n}" if names.count(name) > 1 else name for name, n in log.messages}

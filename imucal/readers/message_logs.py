@@ -171,7 +171,10 @@ def _sensors(
     sensors: list[SensorColumns] = []
     for job, decoding in zip(jobs, decodings, strict=True):
         work.findings += _loss_findings(decoding.losses, decoding.missing)
-        _require_messages(work, job.topic, decoding)
+        if not decoding.columns[0].size:
+            seen = [loss.text for loss in decoding.losses] + [finding.text for finding in work.findings]
+            why = next(iter(seen), "the log has none")
+            raise refused(work.path, f"no message of topic {job.topic.name} could be read: {why}")
         sensors += sensor_columns(work, job, decoding.columns)
     # Another topic may contain the missing sensor.
     found = {columns.plan.triad.sensor.short for columns in sensors if len(jobs) > 1}
@@ -186,20 +189,13 @@ def _decoded(log: OpenLog, jobs: Sequence[Job], options: ReadOptions) -> Sequenc
     return decode(log.containers, streams, limit=options.memory_limit, progress=options.progress)
 
 
-def _require_messages(work: RecordingBuilder, topic: Topic, decoding: Decoding) -> None:
-    if not decoding.columns[0].size:
-        seen = [loss.text for loss in decoding.losses] + [finding.text for finding in work.findings]
-        why = next(iter(seen), "the log has none")
-        raise refused(work.path, f"no message of topic {topic.name} could be read: {why}")
-
-
 def _add_temperature(
     work: RecordingBuilder, containers: Sequence[Container], topics: Sequence[Topic], imu: Topic
 ) -> None:
-    topic = temperature_topic(topics, imu.name) if work.temperature is None else None
-    work.temperature = work.temperature or (read_temperature(containers, topic) if topic else None)
-    if topic and work.temperature:
-        work.decisions.append(("temperature", f"{topic.name}: the only one besides the IMU's"))
+    if work.temperature is None and (topic := temperature_topic(topics, imu.name)):
+        work.temperature = read_temperature(containers, topic)
+        if work.temperature:
+            work.decisions.append(("temperature", f"{topic.name}: the only one besides the IMU's"))
 
 
 def _require_samples(work: RecordingBuilder, path: Path, options: ReadOptions) -> None:

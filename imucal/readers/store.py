@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, blocks, never_changes, release
-from imucal.errors import ReadError
+from imucal.readers.files import refusing
 from imucal.resources import column_limit
 
 #: Columns of messages, shape (n,) each: log times in ns, then the requested numbers.
@@ -34,17 +34,13 @@ def allocated(n: int, dtype: type[T] | np.dtype[T], most: int) -> NDArray[T]:
     size = n * np.dtype(dtype).itemsize
     if size <= most or not size:
         return np.empty(n, dtype)
-    try:
-        with tempfile.TemporaryFile(prefix="imucal-") as file:
-            if hasattr(os, "posix_fallocate"):
-                os.posix_fallocate(file.fileno(), 0, size)
-            else:
-                file.truncate(size)
-            return np.frombuffer(mmap.mmap(file.fileno(), size), dtype=dtype)
-    except OSError as error:
-        where = tempfile.gettempdir()
-        msg = f"{where}: no space for {size / 1e9:.1f} GB of samples: {error.strerror or error}"
-        raise ReadError(msg) from error
+    text = f"no space for {size / 1e9:.1f} GB of samples"
+    with refusing(tempfile.gettempdir(), text), tempfile.TemporaryFile(prefix="imucal-") as file:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(file.fileno(), 0, size)
+        else:
+            file.truncate(size)
+        return np.frombuffer(mmap.mmap(file.fileno(), size), dtype=dtype)
 
 
 class Room:

@@ -11,7 +11,7 @@ import pytest
 
 import imucal
 from imucal.readers import checksums, read
-from imucal.readers.checksums import Checksums
+from imucal.readers.checksums import checksums_of
 from imucal.recording import LogFileInfo, Recording
 from imucal.report import load_report
 from imucal.report.json_file import schema
@@ -47,8 +47,8 @@ def test_the_checksum_has_the_published_value(tmp_path: Path) -> None:
     """RFC 7693, Appendix A, contains BLAKE2b-512 of the three bytes abc."""
     path = tmp_path / "abc.csv"
     path.write_bytes(b"abc")
-    with Checksums([path]) as sums:
-        (found,) = sums.files()
+    with checksums_of([path]) as files_of_log:
+        (found,) = files_of_log()
     assert found.size_bytes == 3
     assert found.blake2b == (
         "ba80a53f981c4d0d6a2797b69f12f6e94c212f14685ac4b74b12bb6fdbffa2d1"
@@ -58,14 +58,14 @@ def test_the_checksum_has_the_published_value(tmp_path: Path) -> None:
 
 def test_an_unreadable_file_has_no_checksum(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cases: a deleted file, and standard input. An exception in the block stops the work."""
-    with Checksums([tmp_path / "gone.csv", Path("-")]) as sums:
-        assert sums.files() == (LogFileInfo(path=str(tmp_path / "gone.csv"), size_bytes=0, blake2b=None),)
+    with checksums_of([tmp_path / "gone.csv", Path("-")]) as files_of_log:
+        assert files_of_log() == (LogFileInfo(path=str(tmp_path / "gone.csv"), size_bytes=0, blake2b=None),)
     path = tmp_path / "large.csv"
     path.write_bytes(bytes(1 << 16))
     monkeypatch.setattr(checksums, "_BLOCK", 16)
-    with Checksums([path]) as sums:
+    with checksums_of([path]) as files_of_log:
         pass
-    assert sums.files() in ((), (LogFileInfo(path=str(path), size_bytes=1 << 16, blake2b=b2sum(path)),))
+    assert files_of_log() in ((), (LogFileInfo(path=str(path), size_bytes=1 << 16, blake2b=b2sum(path)),))
 
 
 @pytest.mark.parametrize("packed", ["plain", "gzip", "cut", "zeros behind"])

@@ -141,14 +141,14 @@ def repeats(
     sensor's resolution if they are nearly as frequent between different stamps, or if at most half of the
     samples with equal stamps have them.
     """
-    advancing = 0
+    equal_stamps = 0
 
     def of(part: slice) -> BoolArray:
-        nonlocal advancing
+        nonlocal equal_stamps
         first = max(part.start, 1)
         here, before = stamps[first : part.stop], stamps[first - 1 : part.stop - 1]
         at = np.flatnonzero((here == before) & (here != 0)) + first
-        advancing += part.stop - first - at.size
+        equal_stamps += at.size
         for values in rows:
             at = at[values[at] == values[at - 1]]
         same = np.zeros(part.stop - part.start, dtype=np.bool_)
@@ -157,11 +157,11 @@ def repeats(
 
     found = (room or Room()).made(stamps.size, np.bool_, of, stamps, *rows)
     twice = count(found)
-    if 2 * twice <= stamps.size - 1 - advancing:
+    if 2 * twice <= equal_stamps:
         return None
     some = [np.diff(column[:_MAX_EXAMINED]) for column in (stamps, *rows)]
     usual = np.all([steps == 0 for steps in some[1:]], axis=0)[some[0] != 0]
-    return None if usual.size and 2 * usual.mean() > twice / (stamps.size - 1 - advancing) else found
+    return None if usual.size and 2 * usual.mean() > twice / equal_stamps else found
 
 
 def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:

@@ -1,6 +1,5 @@
 """SQLite file of a ROS 2 bag: its topics, and its messages in ranges of rows."""
 
-import os
 import shlex
 import sqlite3
 import struct
@@ -12,7 +11,6 @@ from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
-from urllib.parse import quote
 
 import numpy as np
 
@@ -92,7 +90,7 @@ class SqliteFile(MessageFile):
             raise sqlite3.DatabaseError(f"it has {self.size} of {stated} bytes")
 
     def _query_only(self, options: str) -> sqlite3.Connection:
-        uri = "file:" + quote(os.fsencode(self.path.absolute())) + "?" + options
+        uri = f"{self.path.absolute().as_uri()}?{options}"
         base = sqlite3.connect(uri, uri=True, check_same_thread=False)
         self._opened.callback(base.close)
         base.execute("select count(*) from sqlite_master").fetchone()
@@ -116,17 +114,16 @@ class SqliteFile(MessageFile):
 
     def _load(self, keys: list[int], rows: range) -> Iterator[tuple[int, Batch]]:
         for key in keys:
-            yield key, self._fetch(key, rows)
+            yield from ((key, batch) for batch in self._fetch(key, rows))
 
-    def _fetch(self, key: int, rows: range) -> Batch:
+    def _fetch(self, key: int, rows: range) -> Iterator[Batch]:
         lost, reason = 0, ""
-        parts = [batch_of_blobs([], [])]
         ranges = [rows]
         while ranges:
             rows = ranges.pop()
             size = rows.stop - rows.start
             try:
-                parts.append(self._fetch_range(key, rows))
+                batch = self._fetch_range(key, rows)
             except sqlite3.OperationalError as error:
                 raise _refusal(self.path, error) from error
             except _ERRORS as error:
@@ -135,9 +132,11 @@ class SqliteFile(MessageFile):
                     ranges += [range(middle, rows.stop), range(rows.start, middle)]
                 else:
                     lost, reason = lost + size, reason or f"rows from {rows.start} on: {error}"
-        batch = parts[1] if len(parts) == 2 else _joined(parts)
-        loss = Loss("damaged", f"the SQLite database can't be read at {reason}", lost) if lost else None
-        return replace(batch, loss=loss)
+            else:
+                yield batch
+        if lost:
+            loss = Loss("damaged", f"the SQLite database can't be read at {reason}", lost)
+            yield replace(batch_of_blobs([], []), loss=loss)
 
     def _fetch_range(self, key: int, rows: range) -> Batch:
         # `order by` would use the index of times.
@@ -206,11 +205,6 @@ def batch_of_blobs(blobs: list[bytes], times: list[int]) -> Batch:
     sizes = np.fromiter(map(len, blobs), dtype=np.int64, count=len(blobs))
     # Unlike NumPy, `array` refuses floats.
     return Batch(b"".join(blobs), np.cumsum(sizes) - sizes, sizes, np.array(array("q", times)))
-
-
-def _joined(parts: list[Batch]) -> Batch:
-    sizes, times = (np.concatenate([getattr(part, name) for part in parts]) for name in ("sizes", "log_ns"))
-    return Batch(b"".join(part.buffer for part in parts), np.cumsum(sizes) - sizes, sizes, times)
 
 
 def _if_whole(query: Callable[[], Value]) -> Value | None:

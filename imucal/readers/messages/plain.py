@@ -131,7 +131,7 @@ class BinaryDecoder:
         for path, parts in self._columns:
             column = next(values)
             if len(parts) > 1:
-                column = (_quotient if "/" in path else _stamps)(column, next(values))
+                column = (quotient if "/" in path else _stamps)(column, next(values))
             columns.append(column)
         return columns
 
@@ -209,7 +209,8 @@ def _stamps(seconds: NDArray[Any], nanoseconds: NDArray[Any]) -> IntArray:
     return result
 
 
-def _quotient(steps: NDArray[Any], micros: NDArray[Any]) -> FloatArray:
+def quotient(steps: NDArray[Any], micros: NDArray[Any]) -> FloatArray:
+    """Return rates from increments and their durations in µs; NaN for a duration of zero."""
     seconds = micros.astype(np.float64) * 1e-6
     seconds[seconds == 0] = np.nan
     return np.asarray(steps / seconds)

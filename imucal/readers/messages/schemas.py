@@ -14,9 +14,8 @@ from imucal.readers.messages.trees import TIME, Leaf, Parse, is_time
 #: Deepest nesting; types may refer to themselves.
 _MAX_DEPTH = 8
 _MAX_LINES, _MAX_MESSAGES = 4000, 2000
-_CODES = {"DOUBLE": "f8", "FLOAT": "f4", "INT32": "i4", "INT64": "i8", "UINT32": "u4", "UINT64": "u8",
-          "SINT32": "i4", "SINT64": "i8", "FIXED32": "u4", "FIXED64": "u8", "SFIXED32": "i4",
-          "SFIXED64": "i8"}  # fmt: skip
+_NUMBERS = ("DOUBLE", "FLOAT", "INT32", "INT64", "UINT32", "UINT64", "SINT32", "SINT64", "FIXED32", "FIXED64",
+            "SFIXED32", "SFIXED64")  # fmt: skip
 
 
 def ros_leaves(known: Definition) -> list[Leaf]:
@@ -91,7 +90,7 @@ def _descriptor(channel: Channel) -> Any:  # noqa: ANN401 - the package is an ex
 def _protobuf_leaves(descriptor: Any, prefix: str, depth: int, steps: Iterator[int]) -> Iterable[Leaf]:  # noqa: ANN401
     from google.protobuf.descriptor import FieldDescriptor as Kinds
 
-    names = {getattr(Kinds, f"TYPE_{name}"): name.lower() for name in _CODES}
+    names = {getattr(Kinds, f"TYPE_{name}"): name.lower() for name in _NUMBERS}
     for field in descriptor.fields:
         path = prefix + field.name
         if field.message_type is not None and is_time([part.name for part in field.message_type.fields]):

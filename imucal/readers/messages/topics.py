@@ -23,7 +23,6 @@ from imucal.readers.messages.loader import Decoder, Stream, decode, first_messag
 from imucal.readers.messages.plain import BinaryDecoder, is_reachable
 from imucal.readers.messages.trees import TIME, Leaf, TreeDecoder, leaves_of_tree
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.scales import UnitGuess
 from imucal.readers.store import Block, is_constant
 from imucal.readers.tables.columns import ColumnsError, NamedTable, parse_columns_text
 from imucal.readers.tables.dialects import Dialect
@@ -119,6 +118,8 @@ class Topic:
         names = [column.name for column in self.columns]
         table = NamedTable.of(self.where, names, cells, units=units)
         dialect = self.dialect or _PACKAGES.get(self.type.partition("/")[0], table.dialect)
+        if dialect is not None and not self.held:
+            dialect = replace(dialect, unit_source="from the message type", may_be_g=False)
         return replace(table, dialect=dialect)
 
     def stream(self, columns: Sequence[Column]) -> Stream:
@@ -320,7 +321,7 @@ def plan_of(
         # Columns in memory may be text.
         rows = [heads[index] for index in triad.indices if heads[index].dtype.kind in "biuf"]
         alive += [triad.sensor] if not rows or rows[0].size < 2 or not is_constant(rows) else []
-    return plan if topic.held else _in_units_of_type(plan), frozenset(alive)
+    return plan, frozenset(alive)
 
 
 def _heads(containers: Sequence[Container], topic: Topic, text: str) -> Block:
@@ -344,14 +345,3 @@ def _heads(containers: Sequence[Container], topic: Topic, text: str) -> Block:
 def _owner(name: str) -> str:
     """Return ``imu.gyro`` of ``imu.gyro.x``."""
     return re.sub(r"(\[\d+\]|\.\w+)$", "", name)
-
-
-def _in_units_of_type(plan: TablePlan) -> TablePlan:
-    """Attribute units that are not in column names to the message type."""
-    sensors = tuple(
-        replace(sensor, stated=UnitGuess("from the message type", sensor.stated.unit))
-        if sensor.stated is not None and sensor.triad.unit is None
-        else sensor
-        for sensor in plan.sensors
-    )
-    return replace(plan, sensors=sensors)

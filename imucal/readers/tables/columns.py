@@ -97,7 +97,6 @@ class NamedTable:
         preamble: Sequence[str] = (),
     ) -> Self:
         context = frozenset(header.strip().strip("\"'").lower() for header in headers)
-        units = units or [None] * len(headers)
         columns = [
             parse_column(header, index, unit=unit, context=context, cells=cells(index))
             for index, (header, unit) in enumerate(zip_longest(headers, units[: len(headers)]))

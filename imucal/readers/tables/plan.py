@@ -140,7 +140,8 @@ def _plan(
         plan = SensorPlan(triad=triad, time=time) if time else _with_time(table, triad, options)
         unit, how = triad.unit, "from the column header"
         if unit is None and table.dialect:
-            unit, how = table.dialect.unit_of(triad.sensor), f"as in logs of {table.dialect.name}"
+            unit = table.dialect.unit_of(triad.sensor)
+            how = table.dialect.unit_source or f"as in logs of {table.dialect.name}"
         either = triad.unit is None and table.dialect is not None and table.dialect.may_be_g
         sensors.append(replace(plan, stated=UnitGuess(how, unit, assumed=either) if unit else None))
     if table.dialect is not None:

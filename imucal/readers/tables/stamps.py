@@ -100,7 +100,7 @@ def _places(values: IntArray, above: int, most: int) -> IntArray:
     found = []
     for part in blocks(values.size - 1, values):
         steps = np.diff(values[part.start : part.stop + 1])
-        if steps.size and steps.min() <= most:
+        if steps.min() <= most:
             found.append(np.flatnonzero((steps > above) & (steps <= most)) + part.start + 1)
     return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
 
@@ -110,8 +110,7 @@ def _turned(values: IntArray, turns: IntArray, period: int, room: Room) -> IntAr
         before, stop = np.searchsorted(turns, [part.start, part.stop])
         added = np.zeros(part.stop - part.start, dtype=np.int64)
         added[turns[before:stop] - part.start] = period
-        if added.size:
-            added[0] += before * period
+        added[0] += before * period
         return np.asarray(values[part] + np.cumsum(added), dtype=np.int64)
 
     return room.made(values.size, np.int64, of, values)

@@ -20,7 +20,7 @@ from typing import Any, BinaryIO, cast
 
 from imucal.errors import ReadError
 from imucal.findings import Finding
-from imucal.readers.files import refused
+from imucal.readers.files import refused, refusing
 from imucal.readers.read_options import Progress
 from imucal.readers.ways_out import LOGGERS, TEXTS, way_out
 from imucal.recording import LogFileInfo
@@ -328,12 +328,10 @@ def open_text(path: Path, *, progress: Progress | None = None, most: int | None 
         source = TextSource("standard input", cast("BinaryIO", CountedStream(sys.stdin.buffer)))
     else:
         with ExitStack() as opened:
-            try:
+            with refusing(path, "can't be opened"):
                 # Unbuffered, because blocks are large.
                 raw = cast("BinaryIO", opened.enter_context(path.open("rb", buffering=0)))
                 size = path.stat().st_size
-            except OSError as error:
-                raise refused(path, f"can't be opened: {error.strerror or error}") from error
             source = TextSource(str(path), raw, size=size, progress=progress, most=most)
             opened.pop_all()
     lines = [line for line in source.head if line.strip()]
