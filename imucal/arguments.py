@@ -42,9 +42,10 @@ def takes(example: str, **kinds: _Kind) -> Callable[[Callable[P, T]], Callable[P
 
         @functools.wraps(function)
         def checked(*args: P.args, **kwargs: P.kwargs) -> T:
-            for old in _RENAMED.keys() & kwargs.keys():
-                warnings.warn(f"{old} is deprecated; use {_RENAMED[old]}", DeprecationWarning, stacklevel=2)
-                kwargs[_RENAMED[old]] = kwargs.pop(old)
+            for old, new in _RENAMED.items():
+                if old in kwargs and new in signature.parameters:
+                    warnings.warn(f"{old} is deprecated; use {new}", DeprecationWarning, stacklevel=2)
+                    kwargs[new] = kwargs.pop(old)
             try:
                 given = signature.bind(*args, **kwargs).arguments
             except TypeError as error:

@@ -98,7 +98,7 @@ class ChildProcess:
     ) -> None:
         self._environment, self._counted, self._folder = environment or {}, counted, folder
         self._process: subprocess.Popen[bytes] | None = None
-        self._said: IO[bytes] | None = None
+        self._errors: IO[bytes] | None = None
         self._lock = threading.Lock()
         self._closed = False
 
@@ -143,12 +143,12 @@ class ChildProcess:
         self._refuse_closed()
         if self._process is None or self._process.poll() is not None:
             self.end()
-            self._said = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
+            self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
             self._process = subprocess.Popen(  # noqa: S603 - this very interpreter
                 [sys.executable, "-c", _START.format(path=own_path())],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=self._said,
+                stderr=self._errors,
                 env={k: v for k, v in {**os.environ, **self._environment}.items() if v is not None},
                 cwd=self._folder,
             )
@@ -174,12 +174,12 @@ class ChildProcess:
             # Close the pipes and fetch the exit code.
             self._process.communicate()
             self._process = None
-        if self._said is None:
+        if self._errors is None:
             return ""
-        with self._said as sentence:
-            sentence.seek(max(sentence.seek(0, os.SEEK_END) - _WORDS, 0))
-            words = sentence.read().decode("utf-8", "replace")
-        self._said = None
+        with self._errors as file:
+            file.seek(max(file.seek(0, os.SEEK_END) - _WORDS, 0))
+            words = file.read().decode("utf-8", "replace")
+        self._errors = None
         return words
 
 

@@ -146,3 +146,9 @@ def test_the_former_name_of_an_argument_works_with_a_warning(tmp_path: Path) -> 
     with pytest.warns(DeprecationWarning, match="tell is deprecated; use on_finding"):
         files = imucal.write_report(still(), tmp_path / "out", formats=(), html=False, tell=print)  # type: ignore[call-arg]
     assert files[0].name == "report.json"
+
+
+def test_a_former_name_is_unknown_to_other_functions() -> None:
+    """`simulate` never had the argument `tell`."""
+    with pytest.raises(ArgumentError, match="tell"):
+        imucal.simulate("N=1e-4", tell=print)  # type: ignore[call-arg]

@@ -28,7 +28,7 @@ _STEPS, _UPDATES, _SMALL_STEP = 15, (0, 2), 1e-4
 #: Blocks of a turn with constant weights on the noise.
 _BLOCKS = 8
 #: P-value of a wrong turn's studentised residual; largest share of excluded turns.
-_WRONG, _MOST_WRONG = 1e-4, 0.2
+_WRONG, _MAX_WRONG_SHARE = 1e-4, 0.2
 #: P-value of chi² below which the intervals are widened.
 _MISFIT = 0.05
 
@@ -114,7 +114,7 @@ def fit_turns(data: TurnData, noise: GyroNoise, directions: FloatArray) -> Turns
         judged = _studentised(carried, S, covariance)
         p[used] = chdtrc(2, judged)
         worst = int(np.flatnonzero(used)[np.argmax(judged)])
-        if p[worst] >= _WRONG or np.sum(~used) + 1 > _MOST_WRONG * used.size:
+        if p[worst] >= _WRONG or np.sum(~used) + 1 > _MAX_WRONG_SHARE * used.size:
             break
         used[worst] = False
     by_directions = -covariance @ np.linalg.solve(S, carried.J).T @ _by_directions(part, carried)

@@ -42,7 +42,7 @@ def print_plan(plan: "FleetPlan", workers: int) -> None:
     echo(f"{number_of(tasks, 'log')}, {size}, about {about} on {number_of(workers, 'worker')}", err=True)
 
 
-def say_plan(plan: "FleetPlan", store: "FleetStore") -> None:
+def print_summary(plan: "FleetPlan", store: "FleetStore") -> None:
     """Print the number of logs to do, the duplicates, and advice if no log has a unit label."""
     copies = [log for log in plan.own() if log.copy_of]
     done, again = plan.own("done"), plan.own("again")

@@ -42,7 +42,7 @@ def summary_table(
         return "\n".join(lines)
     lines.append("")
     for group in [sensors] if columns >= FULL else [[one] for one in sensors]:
-        lines += _beside_each_other(group, ["", *ordered_keys(seen)])
+        lines += _side_by_side(group, ["", *ordered_keys(seen)])
     levels = {axis.fit.level for axis in report.axes}
     shown = " and ".join(f"{100 * level:.4g} %" for level in sorted(levels))
     legend = f"[low, high]: {shown} interval; < high: not detected, upper bound"
@@ -50,7 +50,7 @@ def summary_table(
     return "\n".join(lines)
 
 
-def _beside_each_other(sensors: Sequence[dict[str, _Block]], keys: Sequence[str]) -> list[str]:
+def _side_by_side(sensors: Sequence[dict[str, _Block]], keys: Sequence[str]) -> list[str]:
     """Return the sensors' blocks in columns: blocks of one key side by side, then an empty line."""
     lines = []
     for key in keys:

@@ -22,7 +22,7 @@ from imucal.cli._fleet import (
     print_failures,
     print_plan,
     print_standing,
-    say_plan,
+    print_summary,
     write_files,
 )
 from imucal.cli._printing import as_typed, echo, fleet_progress, print_json, print_note
@@ -143,22 +143,22 @@ def run(
     settings = fleet_settings(out, {**given, "reading": reading})
     lists = ([line.strip() for line in sys.stdin] if name == "-" else [name] for name in asked.logs)
     names = list(filter(None, itertools.chain.from_iterable(lists)))
-    plan = planned(settings, names, manifest=manifest, dry=dry_run, say=print_note)
+    plan = planned(settings, names, manifest=manifest, dry=dry_run, notify=print_note)
     if dry_run:
         print_plan(plan, settings.jobs)
         return
     prepare(plan, settings)
-    say_plan(plan, FleetStore(out))
+    print_summary(plan, FleetStore(out))
     if warned := unprotected(settings.scheduler):
         echo(f"warning: {warned}", err=True)
-    with _saying_how_to_go_on(out):
+    with _how_to_continue(out):
         with fleet_progress(when=bool(plan.tasks)) as progress:
             run_plan(plan, settings, progress=progress or (lambda _: None))
         conclude(plan, out, ask=asking(settings), max_failed=max_failed)
 
 
 @contextlib.contextmanager
-def _saying_how_to_go_on(out: Path) -> Iterator[None]:
+def _how_to_continue(out: Path) -> Iterator[None]:
     """If a run ends early, print the command to continue: as typed, without what must not be repeated."""
     from imucal.remote import addresses
 

@@ -253,7 +253,7 @@ def _head(contents: LogContents) -> Iterator[str]:
         yield f"from {_date(contents.start_ns)}"
 
 
-def _what_was_read(topic: TopicContents, found: Reading, said: set[FindingText]) -> Iterator[str]:
+def _what_was_read(topic: TopicContents, found: Reading, reported: set[FindingText]) -> Iterator[str]:
     """Yield rate, gaps, units and findings of a topic that was read, without findings of the whole log."""
     if found is None:
         return
@@ -275,7 +275,7 @@ def _what_was_read(topic: TopicContents, found: Reading, said: set[FindingText])
     for finding in _findings(found):
         about.setdefault(finding_text(finding), []).extend([finding.axis] if finding.axis else [])
     for own, axes in about.items():
-        if own not in said:
+        if own not in reported:
             yield from wrapped(f"{own[0]} {sentence_of(axes, own)}", indent=2)
 
 

@@ -253,7 +253,7 @@ class LogRequest:
             end = math.inf if self.take_s is None else self.skip_s + self.take_s
             recording = recording.between(self.skip_s, end)
         recording = logs.named(recording)
-        _say_what_was_read(recording)
+        _print_what_was_read(recording)
         return recording
 
     def characterise(
@@ -303,7 +303,7 @@ LOG = together(
 )
 
 
-def _say_what_was_read(recording: Recording) -> None:
+def _print_what_was_read(recording: Recording) -> None:
     """Print one line per sensor (with --verbose each decision), so that no choice is silent."""
     source = recording.source
     by_clock: dict[int, list[AxisSeries]] = {}

@@ -216,7 +216,7 @@ def nonstationary_finding(
         wider = ", ".join(f"{whose} {factor:.3g}" for whose, factor in factors.items())
         sentences.append(
             f"The noise is not the same in {segments.start_s.size} parts of the record: "
-            f"{'; '.join(map(_said, changing))}. The intervals are wider to allow for it: {wider} times."
+            f"{'; '.join(map(_change_of, changing))}. The intervals are wider to allow for it: {wider} times."
         )
     if change:
         over = f"swings with a period of {change.period_s:.3g} s" if change.period_s else "changes over time"
@@ -232,7 +232,7 @@ def nonstationary_finding(
     return (Finding(level, "nonstationary", " ".join(sentences), advice, axis=axis),)
 
 
-def _said(term: TermHomogeneity) -> str:
+def _change_of(term: TermHomogeneity) -> str:
     if term.shift:
         time, factor = term.shift
         unit, name = _unit(time)

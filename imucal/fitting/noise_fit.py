@@ -104,8 +104,8 @@ class Segments(ReadOnlyArrays):
     def widening(self, symbol: str) -> float:
         """Return the factor that widens the intervals of a term; slow terms share the largest one."""
         slow = is_slow(symbol)
-        alike = (t for t in self.terms if t.symbol == symbol or (slow and is_slow(t.symbol)))
-        return max((term.factor for term in alike), default=1.0)
+        same = (t for t in self.terms if t.symbol == symbol or (slow and is_slow(t.symbol)))
+        return max((term.factor for term in same), default=1.0)
 
 
 Status: TypeAlias = Literal["estimated", "bounded"]

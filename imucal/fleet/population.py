@@ -277,7 +277,7 @@ class MeanSquare:
 
     @property
     def shows(self) -> bool:
-        """Whether all logs together show the coefficient, without any single unit too."""
+        """Whether all logs together show the coefficient, even without any one unit."""
         weight = self._units.sd**-2.0
         share = weight * self._units.estimate
         others = (np.sum(share) - share) / np.sqrt(np.sum(weight) - weight)
@@ -307,7 +307,7 @@ class MeanSquare:
         return float(np.interp(confidence, total / total[-1], square))
 
     def _of_different(self, confidence: float) -> float:
-        """Return 0 if the squares scatter no more than their errors."""
+        """Return the bound of the mean of different squares; 0 if they scatter no more than their errors."""
         units = self._units
         at = max(float(np.average(units.estimate, weights=units.sd**-2.0)), 0.0)
         mean, error, spread = random_mean(units.estimate, units.deviation(at))

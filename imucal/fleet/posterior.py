@@ -122,8 +122,8 @@ class UnitLikelihoods:
         t2, variance = tau**2, self.deviation**2
         values = 0.5 * np.log(np.sum(1 / (variance + t2[:, None]) ** 2, axis=1)) + np.log(t2)
         usual = np.log(tau) - 0.5 * (t2 + self.omega**2) / _USUAL**2
-        untold = float(np.mean((variance / (variance + _USUAL**2)) ** 2))
-        result: FloatArray = (1 - untold) * values + untold * usual
+        unknown = float(np.mean((variance / (variance + _USUAL**2)) ** 2))
+        result: FloatArray = (1 - unknown) * values + unknown * usual
         return result
 
     def _prior_of_median(self, mu: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ import polars as pl
 from imucal.atomic import alone, replacing, sweep, sync_folder
 from imucal.errors import ReadError, StoreError, WriteError
 
-#: The first three depend on the log alone.
+#: Results of a log. The first three depend on the log alone; the others may change in another run.
 STATUSES = ("ok", "unreadable", "no-data", "memory", "timeout", "crash")
 
 _TEXT, _REAL, _COUNT = pl.String(), pl.Float64(), pl.Int64()
@@ -52,7 +52,7 @@ RESULTS = {
 BINS = {"key": _TEXT, "sensor": _TEXT, "axis": _TEXT, "bins": pl.Binary()}
 #: Statistics of other rows (JSON); the key is a checksum of these rows.
 DERIVED = {"key": _TEXT, "value": _TEXT}
-#: In the order in which they are written.
+#: The tables of a batch, in the order in which they are written; and all.
 _OF_BATCH: dict[str, dict[str, Any]] = {"bins": BINS, "results": RESULTS, "logs": LOGS}
 _TABLES: dict[str, dict[str, Any]] = {"derived": DERIVED, **_OF_BATCH}
 _MANIFEST, _SETTINGS = "manifest.parquet", "settings.json"

@@ -19,7 +19,7 @@ from imucal.frozen import frozen
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-#: In s; the second is for a first worker.
+#: Time limits in s of connecting, of waiting for a first worker, and of closing.
 CONNECT_S, WORKERS_S, CLOSE_S = 20.0, 120.0, 10.0
 #: A longer silence, in s, means that the scheduler is lost.
 SILENCE_S = 30.0

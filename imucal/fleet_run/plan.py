@@ -27,16 +27,16 @@ from imucal.resources import memory_there_is, parse_size, threads
 from imucal.units import parse_sample_unit
 
 MODEL, LEVEL = "N + B + K", 0.95
-#: For the imported packages and a short log, in bytes.
+#: Memory of the imported packages and a short log, in bytes.
 MIN_MEMORY = 300 << 20
-#: In s: constant, and per megabyte (usual logs need 0.06 s).
+#: Time limit of a log in s: constant, and per megabyte (usual logs need 0.06 s).
 PATIENCE, PATIENCE_PER_MB = 300.0, 3.0
 #: `imucal.fitting.bins.PACKED_VERSION`, whose import is slow.
 _BINS = 2
 #: Final states: another attempt would have the same result.
 _SETTLED = ("ok", "unreadable", "no-data")
 _KNOWN = ("path", "key", "status", "content", "edge", "bytes", "mtime_ns")
-#: In bytes/s on one core, and additional seconds per log.
+#: Usual speed in bytes/s on one core, and additional seconds per log.
 _BYTES_PER_S, _SECONDS = 17e6, 1.0
 #: Fewest per worker, so that all end together; number in a long run, whose batches may last longer.
 _MIN_BATCHES, _BATCHES, _LONGER = 4, 40, 10
@@ -292,7 +292,7 @@ def planned(
     *,
     manifest: Path | None = None,
     dry: bool = False,
-    say: Callable[[str], object] = lambda _: None,
+    notify: Callable[[str], object] = lambda _: None,
 ) -> FleetPlan:
     """Return the plan for the logs of `names` (see `find_logs`) and of a `manifest`, which has priority.
 
@@ -305,7 +305,7 @@ def planned(
         if dry:
             store.refuse_damage()
         for part in store.mend():
-            say(f"{part}: is damaged; its logs are repeated")
+            notify(f"{part}: is damaged; its logs are repeated")
     asked = {log.path: log for log in (read_manifest(manifest) if manifest else ())}
     named = (LogTask(place=name) for name in find_logs(names))
     unlike = 0
@@ -317,7 +317,7 @@ def planned(
             msg = f"{log.path}: two URLs that differ only after the question mark; expected one"
             raise ManifestError(msg)
     if settings.labels and unlike:
-        say(f"{unlike} of {len(asked)} logs do not match {settings.labels}")
+        notify(f"{unlike} of {len(asked)} logs do not match {settings.labels}")
     return plan_fleet(asked.values(), settings)
 
 

@@ -39,7 +39,7 @@ _QUESTIONS = 4
 
 @dataclass(slots=True)
 class RunCount:
-    """Sizes are in bytes; logs without usable numbers are `failed`."""
+    """The progress of a run: numbers of logs, and sizes in bytes; `failed` logs have no usable numbers."""
 
     logs: int
     size: int

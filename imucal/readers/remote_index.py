@@ -18,7 +18,7 @@ from imucal.remote import RemoteLog
 from imucal.remote.addresses import ChangedError, RemoteFile
 from imucal.remote.copies import LocalCopy, entry_of
 
-#: In bytes; parts of smaller logs would take as long.
+#: Smaller logs, in bytes, are downloaded: parts would take as long.
 _SMALL = 1 << 20
 _HEAD = 4096
 _INDEXED: dict[str, Callable[[Path, LogFile], Container]] = {"MCAP": McapFile, "ROS 1 bag": BagFile}

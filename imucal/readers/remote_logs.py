@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Value = TypeVar("Value")
 
-#: In bytes; latency makes smaller requests inefficient.
+#: Bytes of a block: latency makes smaller requests inefficient.
 _BLOCK = 1 << 17
 #: Above this fraction (1/n) of the file and this many bytes, downloading it is faster.
 _SHARE, _MIN_BYTES = 4, 1 << 22
@@ -36,17 +36,17 @@ class LocalLogs:
 
     def with_urls(self, value: Value) -> Value:
         """Replace the paths of copies by URLs without secrets in the texts of a value."""
-        with_urls: Any = value
+        replaced: Any = value
         if type(value) is str:
             for copy in self.copies:
-                with_urls = with_urls.replace(str(copy.path), copy.log.shown)
+                replaced = replaced.replace(str(copy.path), copy.log.shown)
         elif isinstance(value, tuple):
-            with_urls = tuple(map(self.with_urls, value))
+            replaced = tuple(map(self.with_urls, value))
         elif is_dataclass(value):
-            with_urls = replace(
-                with_urls, **{part.name: self.with_urls(getattr(value, part.name)) for part in fields(value)}
+            replaced = replace(
+                replaced, **{part.name: self.with_urls(getattr(value, part.name)) for part in fields(value)}
             )
-        return cast("Value", with_urls)
+        return cast("Value", replaced)
 
     def named(self, recording: Recording) -> Recording:
         if not self.copies:

@@ -175,7 +175,7 @@ def _digest(text: str) -> str:
 
 Result = TypeVar("Result")
 
-#: In s, before each further attempt.
+#: Seconds before each further attempt.
 WAITS = (0.5, 1.0, 2.0)
 _RETRIED_HERE = WEB | {"s3", "s3a"}
 TIMEOUT = "IMUCAL_REMOTE_TIMEOUT"

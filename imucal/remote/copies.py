@@ -174,7 +174,7 @@ def _lacks(root: Path, wanted: int) -> bool:
 #: Called with the bytes done and the total (0 if unknown).
 Progress: TypeAlias = Callable[[int, int], None]
 
-#: With more changes, the object is still being written.
+#: Most changes of an object during reading; with more it is still being written.
 _MAX_CHANGES = 3
 
 

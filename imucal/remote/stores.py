@@ -60,7 +60,7 @@ def store_of(url: str) -> "Store":
 
 #: HTTP codes of temporary failures.
 _PASSING = frozenset({408, 425, 429, 500, 502, 503, 504})
-#: In bytes; enough to recognise a web page.
+#: Bytes fetched to identify an object, enough to recognise a web page.
 _HEAD = 512
 _BLOCK = 1 << 20
 #: Largest listing of a folder, in bytes.

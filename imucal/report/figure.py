@@ -92,7 +92,7 @@ def sensor_figure(report: Report, sensor: Sensor) -> "Figure":
     return figure
 
 
-#: In inches, and text size in points.
+#: One column of a paper in inches, and text size in points.
 _COLUMN, _COLUMN_HEIGHT, _COLUMN_SIZE = 3.5, 2.8, 8.0
 
 

@@ -32,7 +32,7 @@ from imucal.units import duration, pretty
 
 #: Points of a smooth line.
 _FINE = 60
-#: As a fraction of the recording: closer gaps are drawn as one.
+#: Gaps closer than this fraction of the recording are drawn as one.
 _MERGED = 1 / 500
 #: Least distance of an outlier, in robust deviations.
 _STANDS_OUT = 8.0

@@ -57,7 +57,7 @@ SCHEMA = "imucal/report/2"
 _READABLE = ("imucal/report/1", SCHEMA)
 #: Pictures need the raw signals, scripts do not.
 SIGNAL_SCHEMA, SIGNAL_FILE = "imucal/signal/1", "signal.json"
-#: Enough for pictures, and half the size.
+#: Digits of spectra and signals: enough for pictures, and half the size.
 _DIGITS = 8
 
 

@@ -101,30 +101,32 @@ def _findings(
     first, last = fit.tau_s or (0.0, 0.0)
     findings: list[Finding] = []
     if not points.known_n:
-        text_of = (
+        sentence = (
             f"The length of the record is unknown. The intervals assume {2 * last:.4g} s, the shortest that "
             "allows the longest averaging time."
         )
         long = "Give the number of samples for narrower intervals."
-        findings.append(Finding("info", "record-length-unknown", text_of, long, axis=axis))
+        findings.append(Finding("info", "record-length-unknown", sentence, long, axis=axis))
     if dropped:
-        text_of = (
+        sentence = (
             f"No model describes averaging times below {first:.4g} s, as with an output filter; the fit "
             "starts there."
         )
-        findings.append(Finding("warning", "short-times", text_of, axis=axis))
+        findings.append(Finding("warning", "short-times", sentence, axis=axis))
     if fit.statistic >= MISFIT:
-        text_of = f"{text} does not describe the curve: its misfit is {fit.chi2_per_bin:.1f}, expected 1."
+        sentence = f"{text} does not describe the curve: its misfit is {fit.chi2_per_bin:.1f}, expected 1."
         advice = "Look at the curve and the spectrum before using the numbers."
-        findings.append(Finding("warning", "poor-fit", text_of, advice, axis=axis))
+        findings.append(Finding("warning", "poor-fit", sentence, advice, axis=axis))
     if " + " in text:
-        text_of = (
+        sentence = (
             "The intervals of this method are too narrow: in simulated records of N + B + K they contained "
             "the true B in a third of the cases, and the true K in two thirds."
         )
         advice = "Use the default, `--method mle`." if series else "Fit the log itself if you have it."
-        findings.append(Finding("warning", "narrow-intervals", text_of, advice, axis=axis))
+        findings.append(Finding("warning", "narrow-intervals", sentence, advice, axis=axis))
     if series is not None and series.clock.missing:
-        text_of = "The intervals of a curve fit allow for the number of missing samples, not for their times."
-        findings.append(Finding("info", "gaps-in-curve", text_of, axis=axis))
+        sentence = (
+            "The intervals of a curve fit allow for the number of missing samples, not for their times."
+        )
+        findings.append(Finding("info", "gaps-in-curve", sentence, axis=axis))
     return tuple(findings)

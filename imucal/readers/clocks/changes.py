@@ -29,7 +29,7 @@ class Change:
 
     #: Rates before and after, in Hz.
     rates_hz: tuple[float, float]
-    #: The first part ends before `end`; the second begins at `start`.
+    #: The first part ends before sample `end`; the second begins at `start`.
     end: int
     start: int
 

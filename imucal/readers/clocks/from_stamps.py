@@ -31,7 +31,7 @@ LOG_TIME = "log time"
 _MAX_ZEROS = 0.01
 #: One day in ns: a longer jump forward means that the clock was set.
 _DAY = 86_400 * 10**9
-#: With fewer samples per clock reset, the stamps are noise.
+#: Fewest samples per clock reset; with fewer the stamps are noise.
 _RESETS = 20
 _MAX_EXAMINED = 100_000
 #: Shortest log for a comparison of clocks, and smallest reported relative difference.

@@ -22,7 +22,7 @@ _RUNS, _RUN = 10, 4096
 RATES = (1.0, 20_000.0)
 #: Relative difference of equal slopes.
 _SAME = 0.03
-#: In steps: much longer than batches of up to 128 samples.
+#: Steps in a mean step: much longer than batches of up to 128 samples.
 _WINDOW = 512
 #: Most batches between the anchors of a slope.
 _MAX_BATCHES = 64
@@ -36,7 +36,7 @@ _MIN_JITTER, _MIN_NEAR_SHARE, _MIN_STAMPS, _MAX_STAMPS, _MIN_COHERENCE = 0.1, 0.
 _MIN_LOST_RATIO = 1.003
 #: Limits of trials; the shortest pause is in usual steps.
 _MIN_PAUSE, _MIN_TRIAL, _MIN_PAUSES, _MIN_BATCHES = 4, 8, 3, 6
-#: In Hz; faster steps inside a batch are not those of a sensor.
+#: Highest rate, in Hz, at which steps inside a batch may be those of a sensor.
 _MAX_SENSOR_RATE = 2000.0
 #: Largest share of losses explained by a nominal period in batches.
 _MAX_NOMINAL_LOSS = 0.1
@@ -49,7 +49,7 @@ _EXACT = 1e-3
 #: Stamps per piece when ticks are removed.
 _LOOK = 4096
 REACH = 1 << 13
-#: In samples; it fits the processor's cache.
+#: Samples per block, which fits the processor's cache.
 BLOCK = 1 << 16
 
 

@@ -88,7 +88,7 @@ class Channel:
     schema: bytes = b""
     #: None if unknown before reading; for SQLite an upper bound.
     count: int | None = None
-    #: In ns; None if not in the index.
+    #: Recording times of the first and last message, in ns; None if not in the index.
     first_ns: int | None = None
     last_ns: int | None = None
 

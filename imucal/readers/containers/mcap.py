@@ -156,7 +156,7 @@ class McapFile(MessageFile):
         self._records: dict[int, Any] = {}
         self._chunks: list[Chunk] = []
         self._counts: Counter[int] = Counter()
-        #: For messages outside chunks: channel -> first and last log time.
+        #: First and last log time by channel, for messages outside chunks.
         self._times: dict[int, list[int]] = {}
 
     def _summary(self) -> bytes:

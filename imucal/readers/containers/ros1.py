@@ -23,7 +23,7 @@ MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 U32 = struct.Struct("<I")
 PAIR = struct.Struct("<II")
-#: In a chunk; it may contain a topic.
+#: Longest header of a record in a chunk; it may contain a topic.
 _MAX_HEADER = 1 << 20
 #: A larger index section is damage, in bytes.
 _MAX_INDEX = 1 << 31

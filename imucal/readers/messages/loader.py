@@ -24,7 +24,7 @@ R = TypeVar("R")
 
 #: The interpreter's lock makes more threads useless.
 _MAX_THREADS = 4
-#: With more messages, preparing the allocator is worthwhile.
+#: Preparing the allocator is worthwhile above this number of messages.
 _LARGE = 50_000
 #: Chunks searched for a channel's first message.
 _LOOKS = 8

@@ -210,7 +210,7 @@ def _stamps(seconds: NDArray[Any], nanoseconds: NDArray[Any]) -> IntArray:
 
 
 def quotient(steps: NDArray[Any], micros: NDArray[Any]) -> FloatArray:
-    """Return rates from increments and their durations in µs; NaN for a duration of zero."""
+    """Return rates from increments and their durations in µs; NaN for a duration that is not positive."""
     seconds = micros.astype(np.float64) * 1e-6
-    seconds[seconds == 0] = np.nan
+    seconds[seconds <= 0] = np.nan
     return np.asarray(steps / seconds)

@@ -108,13 +108,13 @@ _ACCELEROMETER = re.compile(
     r"|\bspecific\b.*\bforce\b|\bforce\b.*\bspecific\b|\b[af]$|^[af]( \w{1,2})*$"
 )
 
-#: As in gx_raw, gx_2.
+#: Meaningless suffixes: gx_raw, gx_2.
 _TRAILING = re.compile(
     r"( (\d+|raw|filt|filtered|filter|lp|lpf|cal|calib|calibrated|corr?|corrected|uncal|uncalibrated|"
     r"meas|measured|data|vals?|values?|imu|sensor|body))+$"
 )
 
-#: As in gx, fy, gyrox, xaccel, gx2.
+#: Sensor and axis in one word: gx, fy, gyrox, xaccel, gx2.
 _GLUED = re.compile(
     r"(?:(?P<sensor>g|w|a|f|gyr|gyro|gyros|gyroscope|acc|accl|accel|acceleration|accelerometer|omega|alpha|"
     r"angvel|angrate|rate|rotationrate|rot|mag)(?P<axis>[xyz])"

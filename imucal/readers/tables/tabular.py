@@ -50,7 +50,7 @@ _MAX_RATE_HZ, _MAX_TIME_NS = 1e6, 1e18
 #: Slowest usual rate of IMUs, to guess units from the noise.
 _MIN_RATE_HZ = 10.0
 
-#: With more repeated rows, the sensor is slower than the log; with fewer, samples were sent twice.
+#: Above this share of repeated rows, the sensor is slower than the log; below, samples were sent twice.
 _MAX_REPEATED = 0.1
 
 
@@ -270,7 +270,7 @@ def _counted_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReadi
     return replace(reading, clock=replace(reading.clock, start_ns=None, jitter_s=None))
 
 
-#: In degrees Celsius; values outside are raw counts.
+#: Operating temperatures of electronics, in degrees Celsius; values outside are raw counts.
 _TEMPERATURES = (-80.0, 200.0)
 #: The median is taken of at least this many values.
 _LOOKED_AT = 1_000_000

@@ -53,7 +53,7 @@ _BLOCK = 4 << 20
 _MIN_LINES, _MAX_CELLS = 3, 1000
 #: Longest row of a table, in bytes.
 _MAX_LINE = 1 << 20
-#: In bytes: 4 bytes may expand to 128 KiB.
+#: Bytes of a zstd stream unpacked at once: 4 bytes may expand to 128 KiB.
 _PIECE = 1 << 12
 
 #: Errors of a truncated or damaged stream, and packages with their own error classes.
@@ -245,7 +245,7 @@ class TextSource(AbstractContextManager["TextSource"]):
         mark, cells = max(counts.items(), key=itemgetter(1))
         way = way_out(self.name, self._start, (*TEXTS, *LOGGERS))
         if self.whole or cells < _MAX_CELLS or way:
-            found = "is empty" if self.whole else "has no line end in its first 256 KiB"
+            found = "is empty" if self.whole else "has too few line ends in its first 256 KiB"
             found = f"{found} ({self.findings[0].text})" if self.findings else found
             return f"the text {found}; {way or 'expected a table of numbers'}"
         cut = f"cut -d '{mark}' -f 1-7" if mark != "\t" else "cut -f 1-7"

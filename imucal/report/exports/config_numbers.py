@@ -36,7 +36,7 @@ COVERING = ("N", "K")
 _PER_DECADE, _MARGIN = 1.5, 10.0
 #: At a larger ratio of its limits, N is too uncertain for a filter.
 _VAGUE = 10.0
-#: In s: long enough that a random walk stays one.
+#: Correlation time if none was measured, in s: long enough that a random walk stays one.
 NOMINAL_TIME_S = 3600.0
 
 

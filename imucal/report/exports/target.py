@@ -158,7 +158,7 @@ class Entry(NamedTuple):
         return f"{self.unit}; {self.note}"
 
     @property
-    def said(self) -> str:
+    def description(self) -> str:
         """Name, unit and origin, for files without comments."""
         return f"{self.name}: {self.remark}"
 

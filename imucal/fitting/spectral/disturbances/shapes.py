@@ -55,7 +55,7 @@ _ABSENT = -300.0
 #: Share of the best gain from which shapes with a cause are preferred to cycles.
 _CAUSED = 0.9
 #: Steps nearer than the record's length over this are collinear.
-_TELLABLE = 65536
+_MAX_PLACES = 65536
 #: Least gain, at the spectrum without the shape, for a fit; less for slow cycles and warm-ups, because this
 #: spectrum contains their power.
 _WORTH_A_FIT, _SMOOTH_WORTH_A_FIT = 15.0, 9.0
@@ -108,7 +108,7 @@ def find_disturbances(
         names = tuple(name for one in found for name in one.names)
         whitened = Whitened.by(low, base.unfiltered(plain), ("R", *names))
         kinds = [*_candidates(whitened, length, found)]
-        kinds += _step(whitened, max(length / _TELLABLE, 1.0), found, exact)
+        kinds += _step(whitened, max(length / _MAX_PLACES, 1.0), found, exact)
         candidates = [one for one in kinds if not set(one.names) & set(names)]
         if not candidates:
             break
