@@ -64,6 +64,14 @@ class Settings(FitSettings):
     bins: bool = False
     reading: Mapping[str, object] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        FitSettings.__post_init__(self)
+        if self.second_opinion and self.method != "mle":
+            msg = (
+                f"a second opinion compares method mle with the curve; omit it, or omit method {self.method}"
+            )
+            raise ArgumentError(msg)
+
     def document(self) -> dict[str, object]:
         return {name: getattr(self, name) for name in _DOCUMENTED} | {"reading": dict(self.reading)}
 
@@ -142,7 +150,9 @@ def characterize(
 
 def _for_motion(settings: Settings, findings: Sequence[Finding]) -> Settings:
     """Return the settings for the fits; if the IMU moved, without the slow search for a model."""
-    return replace(settings, method="slope", model="auto") if _moved(findings) else settings
+    if not _moved(findings):
+        return settings
+    return replace(settings, method="slope", model="auto", second_opinion=False)
 
 
 def _moved(findings: Sequence[Finding]) -> bool:

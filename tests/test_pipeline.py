@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from imucal.clock import Clock
-from imucal.errors import DataError
+from imucal.errors import ArgumentError, DataError
+from imucal.findings import Finding
 from imucal.noise import NoiseModel
 from imucal.pipeline import Settings, _workers, characterize, screen
 from imucal.readers import read
@@ -229,3 +230,15 @@ def test_a_temperature_with_its_own_clock_is_interpolated() -> None:
     ]
     assert axis.fit.taken_out["temperature"] == pytest.approx(5e-4, rel=0.02)
     assert ("temperature", "warning", "gyro_x") in {(f.code, f.level, f.axis) for f in screen(log)}
+
+
+def test_a_second_opinion_needs_the_likelihood() -> None:
+    """Other methods fit the curve anyway; a log that was moved is fitted without it."""
+    with pytest.raises(ArgumentError, match="omit it, or omit method gmwm"):
+        Settings(method="gmwm", second_opinion=True)
+    series = AxisSeries.from_samples(np.random.default_rng(3).standard_normal(20_000), rate_hz=100.0)
+    moved = dataclasses.replace(
+        recording_of(series), findings=(Finding("error", "motion", "It moved.", axis="gyro_x"),)
+    )
+    (axis,) = characterize(moved, Settings(second_opinion=True)).axes
+    assert "second-opinion" not in {finding.code for finding in axis.findings}
