@@ -2,7 +2,7 @@
 
     python -m tests.benchmarks.house
 
-`tests/test_house.py` contains the limits.
+`tests/test_house.py` contains the limits of cycles, complexity and modules.
 """
 
 import tempfile
