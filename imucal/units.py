@@ -13,8 +13,10 @@ G0 = 9.80665
 
 _DEGREE = math.pi / 180
 _HOUR = 3600.0
+#: International foot, in m.
+_FOOT = 0.3048
 
-#: Sensor -> unit of samples in a log -> factor that turns it into SI.
+#: Sensor -> unit of samples, limits and data sheets -> factor that turns it into SI.
 SAMPLE_UNITS: dict[Sensor, dict[str, float]] = {
     Sensor.GYROSCOPE: {
         "rad/s": 1.0,
@@ -25,9 +27,42 @@ SAMPLE_UNITS: dict[Sensor, dict[str, float]] = {
     },
     Sensor.ACCELEROMETER: {"m/s^2": 1.0, "g": G0, "mg": 1e-3 * G0, "ug": 1e-6 * G0},
 }
+#: The same with units that only logs use.
+LOG_UNITS: dict[Sensor, dict[str, float]] = {
+    Sensor.GYROSCOPE: {
+        **SAMPLE_UNITS[Sensor.GYROSCOPE],
+        "deg/min": _DEGREE / 60,
+        "rad/h": 1 / _HOUR,
+        "rpm": 2 * math.pi / 60,
+        "rev/s": 2 * math.pi,
+        "arcsec/s": _DEGREE / _HOUR,
+    },
+    Sensor.ACCELEROMETER: {
+        **SAMPLE_UNITS[Sensor.ACCELEROMETER],
+        "cm/s^2": 1e-2,
+        "mm/s^2": 1e-3,
+        "um/s^2": 1e-6,
+        "Gal": 1e-2,
+        "mGal": 1e-5,
+        "ft/s^2": _FOOT,
+    },
+}
 
-#: Unit of time stamps in a log -> ns.
+#: Sensor -> unit of samples that are increments since the previous sample -> factor that, multiplied by the
+#: sampling rate, turns them into SI.
+INCREMENT_UNITS: dict[Sensor, dict[str, float]] = {
+    Sensor.GYROSCOPE: {"rad": 1.0, "deg": _DEGREE},
+    Sensor.ACCELEROMETER: {"m/s": 1.0},
+}
+
+#: Unit of time stamps in a log -> ns; an IMU without a stated unit is in one of these.
 TIME_UNITS_NS: dict[str, int] = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
+#: Units that a log or a user must state -> ns.
+LONG_TIME_UNITS_NS: dict[str, int] = {
+    "min": 60 * TIME_UNITS_NS["s"],
+    "h": 3_600 * TIME_UNITS_NS["s"],
+    "d": 86_400 * TIME_UNITS_NS["s"],
+}
 
 #: Special sign -> the plain spelling. The last three lines undo UTF-8 read as Latin-1.
 _SIGNS = {
@@ -59,7 +94,7 @@ _SPELLINGS = (
 )
 
 
-#: Plain spelling without blanks, underscores and brackets -> name in `SAMPLE_UNITS`.
+#: Plain spelling without blanks, underscores and brackets -> name in `LOG_UNITS`.
 _SAMPLE_SPELLINGS = {
     spelling: name
     for name, spellings in {
@@ -72,8 +107,35 @@ _SAMPLE_SPELLINGS = {
         "g": "g gs g0 gn gee",
         "mg": "mg mgs mg0",
         "ug": "ug ugs",
+        "rpm": "rpm rev/min revs/min rpms",
+        "rev/s": "rev/s revs/s revolutions/s turns/s",
+        "deg/min": "deg/min degpmin dpm",
+        "rad/h": "rad/h radh^-1",
+        "arcsec/s": "arcsec/s arcs/s as/s",
+        "Gal": "gal gals",
+        "mGal": "mgal mgals",
+        "cm/s^2": "cm/s^2 cm/s2 cms^-2 cms-2 cm/s/s cmps2",
+        "mm/s^2": "mm/s^2 mm/s2 mms^-2 mms-2 mm/s/s mmps2",
+        "um/s^2": "um/s^2 um/s2 ums^-2 um/s/s",
+        "ft/s^2": "ft/s^2 ft/s2 fts^-2 ft/s/s ftps2 fps2",
     }.items()
     for spelling in spellings.split()
+}
+
+#: Plain spelling of increments -> name in `INCREMENT_UNITS`.
+_INCREMENT_SPELLINGS = {
+    "rad": "rad",
+    "rads": "rad",
+    "radians": "rad",
+    "radian": "rad",
+    "deg": "deg",
+    "degs": "deg",
+    "degrees": "deg",
+    "degree": "deg",
+    "m/s": "m/s",
+    "mps": "m/s",
+    "ms^-1": "m/s",
+    "meter/second": "m/s",
 }
 
 _TIME_SPELLINGS = {
@@ -82,6 +144,17 @@ _TIME_SPELLINGS = {
     for start, ends in ((unit, ("", "ec", "ecs")), (stem, ("s", "sec", "secs", "second", "seconds")))
     for end in ends
 }
+_LONG_TIME_SPELLINGS = {
+    spelling: name
+    for name, spellings in {
+        "min": "min mins minute minutes",
+        "h": "h hr hrs hour hours",
+        "d": "d day days",
+    }.items()
+    for spelling in spellings.split()
+}
+#: A time unit with a number, such as ``100 ns`` or ``10us``.
+_NUMBERED = re.compile(r"(?P<number>\d+(?:\.\d+)?)?\s*(?P<unit>[^\W\d].*)")
 
 #: Units of other columns.
 _OTHERS = """
@@ -118,7 +191,10 @@ _BASES: dict[str, _Unit] = {
     "arcs": _Unit(_DEGREE / _HOUR, rad=1),
     "dps": _Unit(_DEGREE, rad=1, s=-1),
     "dph": _Unit(_DEGREE / _HOUR, rad=1, s=-1),
+    "rev": _Unit(2 * math.pi, rad=1),
+    "rpm": _Unit(2 * math.pi / 60, rad=1, s=-1),
     "m": _Unit(1.0, m=1),
+    "ft": _Unit(_FOOT, m=1),
     "g": _Unit(G0, m=1, s=-2),
     "gal": _Unit(0.01, m=1, s=-2),
     "s": _Unit(1.0, s=1),
@@ -248,7 +324,7 @@ def _evaluated(node: ast.expr) -> _Unit:
 
 
 def parse_sample_unit(text: str) -> tuple[Sensor, str] | None:
-    """Return the sensor and the name in `SAMPLE_UNITS` of a unit in any spelling of logs, or None.
+    """Return the sensor and the name in `LOG_UNITS` of a unit in any spelling of logs, or None.
 
     Examples: ``[rad s^-1]``, ``deg/s``, ``°/s``, ``mdps``, ``m/s²``, ``m/(s^2)``, ``G``, ``mg``.
     """
@@ -256,19 +332,72 @@ def parse_sample_unit(text: str) -> tuple[Sensor, str] | None:
     name = _SAMPLE_SPELLINGS.get(plain) or _SAMPLE_SPELLINGS.get(_bare(_shortened(plain)))
     if name is None:
         return None
-    sensor = Sensor.GYROSCOPE if name in SAMPLE_UNITS[Sensor.GYROSCOPE] else Sensor.ACCELEROMETER
+    sensor = Sensor.GYROSCOPE if name in LOG_UNITS[Sensor.GYROSCOPE] else Sensor.ACCELEROMETER
     return sensor, name
 
 
-def parse_time_unit(text: str) -> str | None:
-    """Return the name in `TIME_UNITS_NS` of a unit in any spelling of logs, or None."""
-    return _TIME_SPELLINGS.get(_plain(text))
+def usual_units(sensor: Sensor) -> str:
+    """Return the most usual units of a sensor's samples, for a message."""
+    return "rad/s, deg/s, mdeg/s or deg/h" if sensor is Sensor.GYROSCOPE else "m/s^2, g, mg or cm/s^2"
+
+
+def parse_increment_unit(text: str) -> tuple[Sensor, str] | None:
+    """Return the sensor and the name in `INCREMENT_UNITS` of a unit of increments, or None."""
+    name = _INCREMENT_SPELLINGS.get(_plain(text))
+    if name is None:
+        return None
+    sensor = Sensor.ACCELEROMETER if name == "m/s" else Sensor.GYROSCOPE
+    return sensor, name
+
+
+def time_unit_ns(text: str) -> int | None:
+    """Return the ns of a time unit in any spelling of logs, or None.
+
+    Examples: ``us``, ``milliseconds``, ``min``, ``100 ns``, ``10us``. A unit of less than 1 ns, and one that
+    is not a whole number of ns, are None.
+    """
+    match = _NUMBERED.fullmatch(_plain(text))
+    if match is None:
+        return None
+    short = _TIME_SPELLINGS.get(match["unit"])
+    long = _LONG_TIME_SPELLINGS.get(match["unit"])
+    if short is None and long is None:
+        return None
+    unit_ns = TIME_UNITS_NS[short] if short else LONG_TIME_UNITS_NS[long or ""]
+    ns = float(match["number"] or 1) * unit_ns
+    return int(ns) if ns >= 1 and ns.is_integer() and ns < 2**62 else None
+
+
+def time_unit_name(ns: int) -> str:
+    """Return a time unit as text: ``us``, ``min``, or a number of the largest unit, such as ``100 ns``."""
+    units = TIME_UNITS_NS | LONG_TIME_UNITS_NS
+    name, size = next((name, size) for name, size in reversed(units.items()) if ns % size == 0)
+    return name if ns == size else f"{ns // size} {name}"
 
 
 def is_unit(text: str) -> bool:
     """Return whether a text is a unit of any column of a log."""
-    known = parse_sample_unit(text) is not None or parse_time_unit(text) is not None
+    known = parse_sample_unit(text) is not None or time_unit_ns(text) is not None
     return known or _plain(text) in _OTHER_UNITS
+
+
+#: Signs that occur in units and in no label of a column.
+_UNIT_SIGNS = re.compile(r"[/^²³√°µμ·]|\bper\b|^\d+(\.\d+)?\s*[^\W\d]")
+
+#: Units with two meanings: radians or revolutions per second.
+AMBIGUOUS_UNITS = frozenset({"rps"})
+
+
+def may_be_unit(text: str) -> bool:
+    """Return whether a text that is not a known unit has the form of one: ``furlong/s``, ``10 ticks``.
+
+    Labels such as ``raw`` or ``body frame`` do not.
+    """
+    if is_unit(text):
+        return False
+    return (
+        _plain(text) in AMBIGUOUS_UNITS or _UNIT_SIGNS.search(text) is not None or _product(text) is not None
+    )
 
 
 def _plain(text: str) -> str:

@@ -19,6 +19,7 @@ BELOW: dict[str, set[str]] = {
     "atomic": {"errors"},
     "clock": {"errors", "frozen"},
     "display": set(),
+    "evidence": {"units"},
     "printable": set(),
     "resources": {"errors"},
     "recording": {"arrays", "clock", "display", "errors", "findings", "frozen"},

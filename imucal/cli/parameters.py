@@ -16,7 +16,14 @@ from imucal.cli._printing import BYTES, FITTING, print_note, progress
 from imucal.clock import seconds_of
 from imucal.frozen import frozen
 from imucal.recording import AxisSeries, Recording, Sensor
-from imucal.units import SAMPLE_UNITS, duration, parse_sample_unit
+from imucal.units import (
+    INCREMENT_UNITS,
+    SAMPLE_UNITS,
+    duration,
+    parse_increment_unit,
+    parse_sample_unit,
+    time_unit_ns,
+)
 
 if TYPE_CHECKING:
     from imucal.pipeline import Settings
@@ -84,12 +91,21 @@ def _unit_of(sensor: Sensor, text: str) -> str:
             return _COUNT
         msg = f"{text!r} is not a unit of the {sensor}; give the size of a count with --{sensor.short}-scale"
         raise ValueError(f"{msg}, in {sensor.unit}")
-    found = parse_sample_unit(text)
+    found = parse_sample_unit(text) or parse_increment_unit(text)
     if text.strip().lower() in _UNCLEAR and found is not None:
         raise ValueError(f"{text!r} is ambiguous; did you mean {found[1]!r}?")
     if found is None or found[0] is not sensor:
-        msg = f"{text!r} is not a unit of the {sensor}; expected one of {', '.join(SAMPLE_UNITS[sensor])}"
+        msg = f"{text!r} is not a unit of the {sensor}; expected one of {', '.join(SAMPLE_UNITS[sensor])}, "
+        msg += f"or {' or '.join(INCREMENT_UNITS[sensor])} per sample"
         raise ValueError(msg)
+    return text
+
+
+def _time_unit(text: str) -> str:
+    if time_unit_ns(text) is None:
+        raise ValueError(
+            f"{text!r} is not a unit of time; expected s, ms, us, ns, min, h, d or a number of them"
+        )
     return text
 
 
@@ -187,8 +203,8 @@ READING = together(
         "logs": argument("LOG...", click.Path(allow_dash=True, readable=False), nargs=-1, required=True),
         "time": option("--time CLOCK  Time stamps to use: 'header', 'log', or a table's column."),
         "time_unit": option(
-            "--time-unit  Unit of the time stamps, if the log has none.",
-            click.Choice(["s", "ms", "us", "ns"]),
+            "--time-unit UNIT  Unit of the time stamps, if the log has none: s, ms, us, ns, min, h or 100ns.",
+            Text("unit", _time_unit),
         ),
         "rate_hz": option("--rate HZ  Sampling rate in Hz, if the log's is missing or wrong.", RATE),
         "gyro_unit": option(

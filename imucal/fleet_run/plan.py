@@ -24,7 +24,7 @@ from imucal.recording import Sensor
 from imucal.remote import is_url
 from imucal.remote.addresses import shown
 from imucal.resources import memory_there_is, parse_size, threads
-from imucal.units import parse_sample_unit
+from imucal.units import parse_increment_unit, parse_sample_unit, time_unit_ns
 
 MODEL, LEVEL = "N + B + K", 0.95
 #: Memory of the imported packages and a short log, in bytes.
@@ -198,7 +198,11 @@ def meant(column: Column, text: Any, name: str, error: type[Exception] = ValueEr
 
 def _unit_of(sensor: Sensor, such_as: str) -> Column:
     what = f"a unit of the {sensor}, such as {such_as}"
-    return what, str, lambda text: (parse_sample_unit(text) or (None,))[0] is sensor
+    return (
+        what,
+        str,
+        lambda text: (parse_sample_unit(text) or parse_increment_unit(text) or (None,))[0] is sensor,
+    )
 
 
 _ANY: Column = ("text", str, bool)
@@ -210,7 +214,11 @@ _COLUMNS: dict[str, Column] = {
     **dict.fromkeys(("time", "columns"), _ANY),
     "topic": ("text", str.split, bool),
     **dict.fromkeys(("fields", "message_definition"), ("text", lambda text: [text], bool)),
-    "time_unit": ("s, ms, us or ns", str, {"s", "ms", "us", "ns"}.__contains__),
+    "time_unit": (
+        "a unit such as s, ms, us, ns, min or 100ns",
+        str,
+        lambda text: time_unit_ns(text) is not None,
+    ),
     "gyro_unit": _unit_of(Sensor.GYROSCOPE, "deg/s"),
     "accel_unit": _unit_of(Sensor.ACCELEROMETER, "g"),
     "strict": ("true or false", lambda text: _YES[text.lower()], lambda _: True),

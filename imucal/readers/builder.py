@@ -14,7 +14,6 @@ from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import Unscaled, find_units
 from imucal.readers.store import Room
 from imucal.recording import AxisSeries, Recording, Source, Temperature
-from imucal.units import SAMPLE_UNITS
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -57,9 +56,8 @@ class RecordingBuilder:
         units = find_units(where or self.path, self.options, samples, self.findings)
         for entry in samples:
             sensor, unit = entry.sensor, units[entry.sensor]
-            self.decide(f"{sensor} unit", f"{unit.unit}, {unit.reason}")
-            scale = SAMPLE_UNITS[sensor][unit.unit or ""] if unit.scale is None else unit.scale
-            self.add_sensor(entry, scale)
+            self.decide(f"{sensor} unit", unit.described(sensor))
+            self.add_sensor(entry, unit.factor(sensor, entry.clock.rate_hz))
 
     def add_sensor(self, entry: Unscaled, scale: float) -> None:
         """Add the axes of a sensor; `scale` converts to SI, in place if possible."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import BoolArray, FloatArray
+from imucal.evidence import GYRO_STEPS, MAX_GYRO_NOISE, STEP_TOLERANCE, is_gravity_per_sample
 from imucal.findings import Finding, Level
 from imucal.recording import Sensor, Temperature
 from imucal.screening.windows import Profile, amount, excerpt, time
@@ -224,15 +225,8 @@ _GRAVITY = (0.8 * G0, 1.2 * G0)
 _NO_GRAVITY = 0.3
 #: Largest mean vector without gravity, and smallest deviation of a moving accelerometer, in m/s².
 _WEIGHTLESS, _SHAKEN = 0.3 * G0, 0.3
-#: Largest N of a gyroscope, in rad/s/sqrt(Hz).
-_NOISY = 4e-3
 #: Largest bias of a gyroscope, in rad/s.
 _BIASED = 0.4
-#: LSB of common gyroscopes, in deg/s.
-_GYRO_LSB = (1 / 131, 1 / 65.5, 1 / 32.8, 1 / 16.4, 1 / 16, 250 / 32768, 1000 / 32768, 2000 / 32768,
-             0.004375, 0.00875, 0.0175, 0.035, 0.07)  # fmt: skip
-#: Relative tolerance of a match with one of these.
-_AGREE = 2e-3
 
 
 def gravity(profiles: Sequence[Profile]) -> float | None:
@@ -285,6 +279,19 @@ def check_accelerometer_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]
     length = gravity(accel)
     if length is None or swapped(profiles) or shaken(profiles) or _GRAVITY[0] <= length <= _GRAVITY[1]:
         return ()
+    if is_gravity_per_sample(length, accel[0].series.rate_hz):
+        rate = accel[0].series.rate_hz
+        text = (
+            f"|a| is {length:.4g} at rest, and {length * rate:.4g} times the rate, which is gravity: the "
+            "samples are "
+            "increments of velocity, in m/s per sample, and those of the gyroscope may be increments of "
+            "angle."
+        )
+        advice = (
+            "Run again with --accel-unit m/s, and with --gyro-unit rad or deg; all numbers scale with the "
+            "unit."
+        )
+        return (Finding("warning", "unit-suspect", text, advice, axis="accel"),)
     if length < _NO_GRAVITY:
         text = f"The accelerometer shows no gravity: |a| is {length:.2g} m/s^2."
         advice = "If a driver removes gravity, log the raw acceleration: this has the noise of a filter."
@@ -336,11 +343,11 @@ def _gyroscope_reason(gyro: Sequence[Profile]) -> str | None:
     """Return the strongest evidence that a gyroscope is in another unit, or None."""
     if _are_counts(gyro):
         return "all its values are whole numbers, like raw counts"
-    known = [p.lsb for p in gyro if p.lsb and any(abs(p.lsb / lsb - 1) < _AGREE for lsb in _GYRO_LSB)]
+    known = [p.lsb for p in gyro if p.lsb and any(abs(p.lsb / s - 1) < STEP_TOLERANCE for s in GYRO_STEPS)]
     if known and len(known) == len(gyro):
         return f"its steps of {known[0]:.5g} are a usual LSB in deg/s"
     density = [p.noise * math.sqrt(p.series.tau0) for p in gyro]
-    if density and min(density) >= _NOISY:
+    if density and min(density) >= MAX_GYRO_NOISE:
         return (
             f"its noise, {max(density):.2g} rad/s/sqrt(Hz), is more than gyroscopes have; in deg/s it would "
             f"be {math.radians(max(density)):.2g} rad/s/sqrt(Hz)"

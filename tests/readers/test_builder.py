@@ -103,8 +103,11 @@ def test_units_in_the_log_override_inferred_ones() -> None:
 @pytest.mark.parametrize(
     ("options", "wrong"),
     [
-        (ReadOptions(gyro_unit="g"), "'g' is not a unit of the gyroscope; expected one of rad/s"),
-        (ReadOptions(gyro_unit="furlong"), "'furlong' is not a unit of the gyroscope; expected one of rad/s"),
+        (ReadOptions(gyro_unit="g"), "'g' is not a unit of the gyroscope; expected one such as rad/s"),
+        (
+            ReadOptions(gyro_unit="furlong"),
+            "'furlong' is not a unit of the gyroscope; expected one such as rad/s",
+        ),
         (
             ReadOptions(gyro_unit="rad/s", gyro_scale=2.0),
             r"both a unit \(rad/s\) and a scale \(2\) are given for the gyroscope; give one",

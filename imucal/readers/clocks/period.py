@@ -20,6 +20,9 @@ from imucal.readers.store import Room
 _RUNS, _RUN = 10, 4096
 #: Plausible rates of IMUs, in Hz.
 RATES = (1.0, 20_000.0)
+#: Rates of nearly all logs of MEMS IMUs, in Hz: if one of two readings of a clock gives such a rate, it is
+#: right.
+LIKELY_RATES = (10.0, 2_000.0)
 #: Relative difference of equal slopes.
 _SAME = 0.03
 #: Steps in a mean step: much longer than batches of up to 128 samples.

@@ -58,7 +58,7 @@ class Triad:
 
     @property
     def units(self) -> tuple[str | None, ...]:
-        """Keys of `imucal.units.SAMPLE_UNITS`, or None."""
+        """Keys of `imucal.units.LOG_UNITS` or `INCREMENT_UNITS`, or None."""
         return tuple(column.unit_of(self.sensor) for column in self.columns)
 
     @property

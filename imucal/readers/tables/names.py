@@ -7,7 +7,14 @@ from enum import StrEnum
 
 from imucal.readers.tables.layout import is_number
 from imucal.recording import Sensor
-from imucal.units import is_unit, parse_sample_unit, parse_time_unit
+from imucal.units import (
+    AMBIGUOUS_UNITS,
+    is_unit,
+    may_be_unit,
+    parse_increment_unit,
+    parse_sample_unit,
+    time_unit_ns,
+)
 
 
 class Role(StrEnum):
@@ -27,7 +34,8 @@ class NamedColumn:
     """A column and its parsed name.
 
     `words` are in lower case, without axis and unit. `axis` is 0, 1, 2 for x, y, z; if `numbered`, it is a
-    number that may start at 1. `cells` are the first cells.
+    number that may start at 1. `unknown_unit` has the form of a unit, but is none that imucal knows. `cells`
+    are the first cells.
     """
 
     index: int
@@ -37,6 +45,7 @@ class NamedColumn:
     axis: int | None = None
     numbered: bool = False
     unit: str | None = None
+    unknown_unit: str | None = None
     cells: Sequence[str] = ()
 
     @property
@@ -59,9 +68,19 @@ class NamedColumn:
         return next((sensor for sensor in Sensor if self.role is Role(str(sensor))), None)
 
     def unit_of(self, sensor: Sensor) -> str | None:
-        parsed = parse_sample_unit(self.unit) if self.unit else None
+        parsed = _sample_or_increment(self.unit) if self.unit else None
         return parsed[1] if parsed and parsed[0] is sensor else None
 
+
+#: Names of angle and velocity increments since the previous sample, if a unit of increments follows.
+_GYROSCOPE_INCREMENT = re.compile(
+    r"^(dtheta|deltatheta|dangle|dang|deltaangle|deltaang)\b|^d(elta)? (theta|angle|ang)\b"
+)
+_ACCELEROMETER_INCREMENT = re.compile(
+    r"^(dvel|deltavel|dvelocity|deltavelocity|deltav|dv)\b|^d(elta)? (vel|velocity|v)\b"
+)
+#: A power of ten before a unit of time: 100 in ``time_100us``.
+_TICKS = re.compile(r"10+")
 
 #: Words in camelCase, capitals and digits.
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-zµμ]+\d*|[A-Z]+\d*|\d+")
@@ -116,7 +135,7 @@ _TRAILING = re.compile(
 
 #: Sensor and axis in one word: gx, fy, gyrox, xaccel, gx2.
 _GLUED = re.compile(
-    r"(?:(?P<sensor>g|w|a|f|gyr|gyro|gyros|gyroscope|acc|accl|accel|acceleration|accelerometer|omega|alpha|"
+    r"(?:(?P<sensor>g|w|a|f|r|gyr|gyro|gyros|gyroscope|acc|accl|accel|acceleration|accelerometer|omega|alpha|"
     r"angvel|angrate|rate|rotationrate|rot|mag)(?P<axis>[xyz])"
     r"|(?P<axis2>[xyz])(?P<sensor2>gyr|gyro|gyros|acc|accl|accel|rate|angrate|angvel|mag))(?P<number>\d*)"
 )
@@ -128,6 +147,8 @@ _TIME_WORDS = _words(
     "nanosec nanosecs nanoseconds nanos usec usecs msec msecs millis micros ms us ns tow itow datetime date "
     "utc ustime mstime nstime ts yyyy sow gpst millisecond milliseconds microsecond microseconds"
 )
+#: Names of columns with which rx, ry, rz may be rotation rates: gx, gy, gz are then the direction of gravity.
+_R_IS_RATE = frozenset(f"{letter}{axis}" for letter in "ar" for axis in "xyz") | {"mx"}
 STEPS = (("dt",), ("delta", "t"), ("delta", "time"))
 _NOT_TIME = _words("dt delta relative offset flags flag exposure zone type id duration")
 _COUNTER_WORDS = _words(
@@ -138,6 +159,7 @@ _NOT_COUNTER = _words("id type rate satellites sats gps")
 #: Last word -> unit, in addition to units of samples.
 _UNIT_TAILS = {
     **{word: word for word in _words("ns us ms s sec usec msec nsec degc")},
+    **{word: word for word in _words("min mins minute minutes h hr hrs hour hours d day days")},
     "rad": "rad/s",
     "c": "degC",
 }
@@ -163,36 +185,96 @@ def parse_column(
     """
     name = header.strip().strip("\ufeff").strip()
     text = name.strip("\"'").lstrip("#%").lstrip("/").strip().strip("\"'")
-    text, named_unit, number = _without_brackets(text)
-    unit = unit or named_unit
+    text, named_unit, unknown_unit, number = _without_brackets(text)
+    if unit is not None:
+        unknown_unit = unit if may_be_unit(unit) else None
+    unit = named_unit if unit is None or unknown_unit else unit
     words, axis, place = _take_axis([word.lower() for word in _WORD.findall(text)])
-    numbered = axis is None and number is not None
-    if numbered:
-        axis = number
-    elif axis is None and words[1:][-1:] in (["0"], ["1"], ["2"], ["3"]) and not _is_time(words):
-        axis, numbered = int(words.pop()), True
-    if words in (["p"], ["q"], ["r"]) and {"p", "q", "r"} <= context:
-        axis, words = "pqr".index(words[0]), ["rate"]
-    role, words, unit = _classify(words, axis, unit, place=place, omega="omega" in " ".join(context))
-    degrees = (unit or "").strip().lower() in _DEGREES and text.lower().startswith("t")
-    if text == "T" or (degrees and role is Role.OTHER):
+    if words[1:] and words[-1] in AMBIGUOUS_UNITS:
+        unknown_unit = words.pop()
+    axis, numbered = _numbered_axis(words, axis, number)
+    words, axis = _letters_of_rates(words, axis, context)
+    increment = _increment(words, unit) if axis is not None else None
+    role, words, unit = increment or _classify(
+        words, axis, unit, place=place, omega="omega" in " ".join(context)
+    )
+    if text == "T" or (role is Role.OTHER and _in_degrees(text, unit)):
         role = Role.TEMPERATURE
-    return NamedColumn(index, name, tuple(words), role, axis, numbered=numbered, unit=unit, cells=cells)
+    return NamedColumn(
+        index,
+        name,
+        tuple(words),
+        role,
+        axis,
+        numbered=numbered,
+        unit=unit,
+        unknown_unit=unknown_unit if unit is None else None,
+        cells=cells,
+    )
 
 
-def _without_brackets(text: str) -> tuple[str, str | None, int | None]:
+def _in_degrees(text: str, unit: str | None) -> bool:
+    return (unit or "").strip().lower() in _DEGREES and text.lower().startswith("t")
+
+
+def _numbered_axis(words: list[str], axis: int | None, number: int | None) -> tuple[int | None, bool]:
+    """Return the axis, and whether it is a number: in brackets, or the last word, which is removed."""
+    if axis is not None:
+        return axis, False
+    if number is not None:
+        return number, True
+    if words[1:][-1:] in (["0"], ["1"], ["2"], ["3"]) and not _is_time(words):
+        return int(words.pop()), True
+    return None, False
+
+
+def _letters_of_rates(
+    words: list[str], axis: int | None, context: frozenset[str]
+) -> tuple[list[str], int | None]:
+    """Return words and axis; p, q, r become rates if all are in the table, and rx, ry, rz next to ax."""
+    if words in (["p"], ["q"], ["r"]) and axis is None and {"p", "q", "r"} <= context:
+        return ["rate"], "pqr".index(words[0])
+    if words == ["r"] and axis is not None and context >= _R_IS_RATE:
+        return ["r", "rate"], axis
+    return words, axis
+
+
+def _increment(words: list[str], unit: str | None) -> tuple[Role, list[str], str] | None:
+    """Return role, words and unit of a column of increments, which has a unit of increments; or None."""
+    if unit is None and len(words) > 1 and parse_increment_unit(words[-1]):
+        # dtheta_x_rad
+        words, unit = words[:-1], words[-1]
+    parsed = parse_increment_unit(unit) if unit else None
+    if parsed is None or unit is None:
+        return None
+    sensor = parsed[0]
+    pattern = _GYROSCOPE_INCREMENT if sensor is Sensor.GYROSCOPE else _ACCELEROMETER_INCREMENT
+    return (Role(str(sensor)), words, unit) if pattern.search(" ".join(words)) else None
+
+
+def _sample_or_increment(unit: str) -> tuple[Sensor, str] | None:
+    return parse_sample_unit(unit) or parse_increment_unit(unit)
+
+
+def _without_brackets(text: str) -> tuple[str, str | None, str | None, int | None]:
+    """Return a name without brackets, and in brackets: a known unit, an unknown one, and an index."""
     unit: str | None = None
+    unknown_unit: str | None = None
     index: int | None = None
     for match in _BRACKETS.finditer(text):
         inner = (match[1] if match[1] is not None else match[2]).strip()
         if inner.isdigit() and len(inner) == 1:
             index = int(inner)
-        elif inner.lower() not in _AXES and (is_unit(inner) or inner in {"°", "º", "Â°"}):
+        elif inner.lower() in _AXES:
+            continue
+        elif is_unit(inner) or inner in {"°", "º", "Â°"}:
             unit = inner
+        elif may_be_unit(inner):
+            unknown_unit = inner
     named = _BRACKETS.sub(
         lambda match: f" {match[0][1:-1]} " if match[0][1:-1].strip().lower() in _AXES else " ", text
     )
-    return named.strip(), unit, index
+    return named.strip(), unit, unknown_unit if unit is None else None, index
 
 
 def _take_axis(words: list[str]) -> tuple[list[str], int | None, int]:
@@ -221,12 +303,12 @@ def _classify(
     """Return role, remaining words and unit; the axis was before word `place`."""
     if unit is None:
         for size in (3, 2, 1):
-            tail = " ".join(words[-size:]) if len(words) > size else ""
-            sample = parse_sample_unit(tail) if tail else None
-            spelled = sample[1] if sample else _UNIT_TAILS.get(tail)
+            spelled = _unit_tail(words, size)
             if spelled is None:
                 continue
             role = _role(words[:-size], axis, omega=omega)
+            if role is Role.TIME and size == 1 and len(words) > 2 and _TICKS.fullmatch(words[-2]):
+                return role, words[:-2], words[-2] + spelled
             # A unit follows the axis: imu1_gx is not an acceleration in g.
             if role is Role.VECTOR and len(words) - size < place:
                 continue
@@ -237,6 +319,16 @@ def _classify(
     return (role if unit is None else _agreed(role, unit) or Role.OTHER), words, unit
 
 
+def _unit_tail(words: list[str], size: int) -> str | None:
+    """Return the unit that the last `size` words are; None if they are not, or if there are no others."""
+    if len(words) <= size or words[-size - 1] == "of":
+        # The time of day is in any unit.
+        return None
+    tail = " ".join(words[-size:])
+    sample = parse_sample_unit(tail)
+    return sample[1] if sample else _UNIT_TAILS.get(tail)
+
+
 def _agreed(role: Role, unit: str) -> Role | None:
     sample = parse_sample_unit(unit)
     if role is Role.VECTOR:
@@ -244,7 +336,7 @@ def _agreed(role: Role, unit: str) -> Role | None:
     if role in {Role.GYROSCOPE, Role.ACCELEROMETER}:
         return role if sample and str(sample[0]) == str(role) else None
     if role is Role.TIME:
-        return Role.TIME if parse_time_unit(unit) else None
+        return Role.TIME if time_unit_ns(unit) else None
     if role is Role.TEMPERATURE:
         return role if unit.lower().strip("°º") in {"c", "degc", "k", ""} else None
     return role

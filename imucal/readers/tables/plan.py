@@ -9,12 +9,14 @@ from itertools import pairwise
 from pathlib import PurePath
 from typing import TypeAlias
 
+import numpy as np
+
 from imucal.errors import ChoiceError
 from imucal.findings import Finding
 from imucal.frozen import frozen
 from imucal.readers.files import refused
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.scales import UnitGuess
+from imucal.readers.scales import UnitGuess, gravity_length
 from imucal.readers.tables.columns import ColumnsError, NamedTable, Triad, parse_columns_text
 from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.layout import is_number
@@ -138,17 +140,27 @@ def _plan(
         names = ", ".join(column.header or f"column {column.index}" for column in triad.columns)
         decisions.append((f"{triad.sensor} columns", f"{names}, {reason}"))
         plan = SensorPlan(triad=triad, time=time) if time else _with_time(table, triad, options)
-        unit, how = triad.unit, "from the column header"
-        if unit is None and table.dialect:
-            unit = table.dialect.unit_of(triad.sensor)
-            how = table.dialect.unit_source or f"as in logs of {table.dialect.name}"
-        either = triad.unit is None and table.dialect is not None and table.dialect.may_be_g
-        sensors.append(replace(plan, stated=UnitGuess(how, unit, assumed=either) if unit else None))
+        sensors.append(replace(plan, stated=_stated_unit(table, triad)))
     if table.dialect is not None:
         decisions.append(("layout", f"{table.dialect.name}, from the column names"))
     return TablePlan(
         sensors=tuple(sensors), temperature=temperature, dialect=table.dialect, decisions=tuple(decisions)
     )
+
+
+def _stated_unit(table: NamedTable, triad: Triad) -> UnitGuess | None:
+    """Return the unit in the header or of the dialect, which may be unknown; None without one."""
+    unknown = next((column for column in triad.columns if column.unknown_unit), None)
+    if triad.unit is not None:
+        return UnitGuess("from the column header", triad.unit)
+    if unknown is not None:
+        return UnitGuess(f"column {unknown.header!r}", unknown=unknown.unknown_unit or "")
+    dialect = table.dialect
+    unit = dialect.unit_of(triad.sensor) if dialect is not None else None
+    if dialect is None or unit is None:
+        return None
+    how = dialect.unit_source or f"as in logs of {dialect.name}"
+    return UnitGuess(how, unit, assumed=dialect.may_be_g)
 
 
 def _each(find: Callable[[Sensor], Triad | None]) -> Found:
@@ -241,7 +253,29 @@ def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> lis
 
     measured = {triad.sensor for triad in triads if not is_linear(triad)}
     kept = [triad for triad in triads if not is_linear(triad) or triad.sensor not in measured]
+    kept = _without_gravity_vectors(kept)
     return sorted(kept, key=lambda triad: triad.sensor is Sensor.ACCELEROMETER)
+
+
+def _without_gravity_vectors(triads: Sequence[Triad]) -> list[Triad]:
+    """Return triads without gx, gy, gz if they are the direction of gravity and rx, ry, rz the rotation rate.
+
+    If gx, gy, gz are not of constant length, they are the gyroscope, and rx, ry, rz are left out.
+    """
+    rates = [triad for triad in triads if triad.columns[0].words[:1] == ("r",)]
+    others = [triad for triad in triads if triad.sensor is Sensor.GYROSCOPE and triad not in rates]
+    if not rates or not others:
+        return list(triads)
+    gravity = [triad for triad in others if _is_gravity_vector(triad)]
+    left_out = gravity if len(gravity) == len(others) else rates
+    return [triad for triad in triads if triad not in left_out]
+
+
+def _is_gravity_vector(triad: Triad) -> bool:
+    columns = [[cell for cell in column.filled if is_number(cell)] for column in triad.columns]
+    if len({len(cells) for cells in columns}) > 1:
+        return False
+    return gravity_length(np.array(columns, dtype=np.float64).T) is not None
 
 
 def _single_axes(table: NamedTable, sensor: Sensor) -> Triad | None:

@@ -1,6 +1,7 @@
 """Time in a table: choose a sensor's time columns, find their unit and convert them to ns."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from operator import itemgetter
 from typing import Any, Literal, TypeAlias
@@ -12,7 +13,7 @@ from imucal.arrays import FloatArray, IntArray, blocks, median
 from imucal.errors import ChoiceError
 from imucal.frozen import frozen
 from imucal.readers.clocks import estimate_period
-from imucal.readers.clocks.period import RATES
+from imucal.readers.clocks.period import LIKELY_RATES, RATES
 from imucal.readers.files import refused
 from imucal.readers.store import Room, extremes
 from imucal.readers.tables.columns import NamedTable
@@ -21,7 +22,7 @@ from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.layout import is_number
 from imucal.readers.tables.names import STEPS, NamedColumn, Role, plain_name
 from imucal.recording import Sensor
-from imucal.units import TIME_UNITS_NS, parse_time_unit
+from imucal.units import TIME_UNITS_NS, time_unit_ns
 
 _SECOND = 10**9
 
@@ -237,7 +238,8 @@ class TimeChoice:
 
     A ``pair`` is seconds (or a text) with a finer column. `ns` per count (of the finer column) is None if the
     data determine it. Dates with the year last begin with the day if `by_day`; if the cells do not decide
-    (`open_date`), the month is assumed.
+    (`open_date`), the month is assumed. `either_ns` are the ns per count of two readings that both give the
+    rate of an IMU. `unknown_unit` is a unit in the name that imucal does not know.
     """
 
     kind: TimeKind
@@ -245,6 +247,8 @@ class TimeChoice:
     name: str
     ns: int | None = None
     ns_source: str = ""
+    either_ns: tuple[int, ...] = ()
+    unknown_unit: str = ""
     by_day: bool = False
     open_date: bool = False
 
@@ -342,29 +346,54 @@ def _joined(*columns: NamedColumn, kind: TimeKind, ns: int | None = None, source
 def _single(table: NamedTable, column: NamedColumn) -> TimeChoice | None:
     filled = column.filled
     if filled and sum(map(is_number, filled)) >= 0.5 * len(filled):
+        if plain_name(column.header) == _SAMPLE_TIME_FINE and not _dialect_ns(column, table.dialect):
+            return _sample_time_fine(column)
         ns, source = _unit(column, table.dialect)
-        return _joined(column, kind="stamp", ns=ns, source=source)
+        choice = _joined(column, kind="stamp", ns=ns, source=source)
+        return choice if ns else replace(choice, unknown_unit=column.unknown_unit or "")
     texts = filled and sum(map(is_text_stamp, filled)) >= 0.5 * len(filled)
     return _joined(column, **_TEXTS) if texts else None
 
 
+#: Xsens and Movella: microseconds in logs of DOT, 0.1 ms in logs of MTi.
+_SAMPLE_TIME_FINE = "sampletimefine"
+_SAMPLE_TIME_FINE_NS = (1_000, 100_000)
+
+
+def _sample_time_fine(column: NamedColumn) -> TimeChoice:
+    """Return the time in the reading that gives the rate of an IMU; both readings if both do."""
+    counts = column.counts
+    steps = [b - a for a, b in pairwise(counts) if b > a]
+    step = median(np.array(steps)) if steps else 0.0
+    likely = [
+        ns for ns in _SAMPLE_TIME_FINE_NS if step and LIKELY_RATES[0] <= 1e9 / (step * ns) <= LIKELY_RATES[1]
+    ]
+    if len(likely) == 1:
+        source = f"the reading of Xsens' SampleTimeFine with {1e9 / (step * likely[0]):.4g} Hz"
+        return _joined(column, kind="stamp", ns=likely[0], source=source)
+    return replace(_joined(column, kind="stamp"), either_ns=_SAMPLE_TIME_FINE_NS)
+
+
+def _dialect_ns(column: NamedColumn, dialect: Dialect | None) -> int | None:
+    return dict(dialect.time_ns).get(plain_name(column.header)) if dialect is not None else None
+
+
 def _unit(column: NamedColumn, dialect: Dialect | None = None) -> tuple[int | None, str]:
-    name = plain_name(column.header)
-    if dialect is not None and (ns := dict(dialect.time_ns).get(name)) is not None:
+    if dialect is not None and (ns := _dialect_ns(column, dialect)) is not None:
         return ns, f"as in logs of {dialect.name}"
-    if name == "sampletimefine":
-        return 100_000, "as in logs of Xsens"
     if "sow" in column.words:
         return _SECOND, "seconds of the week"
-    # Units have at least two letters.
+    ns = time_unit_ns(column.unit) if column.unit else None
+    # Units in the middle of a name have at least two letters.
     words = (word.removesuffix("time") if len(word) > 4 else word for word in column.words if len(word) > 1)
-    ns = _spelled_ns(column.unit or "", *words)
+    ns = ns or _spelled_ns(*words)
     return ns, "from the column header" if ns else ""
 
 
 def _spelled_ns(*words: str) -> int | None:
-    unit = next(filter(None, map(parse_time_unit, words)), None)
-    return TIME_UNITS_NS[unit] if unit else None
+    """Return the ns of the first word that is a unit of at most a second."""
+    found = (ns for word in words if (ns := time_unit_ns(word)) is not None and ns <= _SECOND)
+    return next(found, None)
 
 
 def _score(column: NamedColumn, sensor: Sensor) -> float:
@@ -401,7 +430,7 @@ def _pairs(columns: Sequence[NamedColumn]) -> list[tuple[float, TimeChoice]]:
     fractions: dict[tuple[str, ...], NamedColumn] = {}
     for column in (column for column in columns if column.role is Role.TIME):
         counts = column.counts
-        stem = tuple(word for word in column.words if parse_time_unit(word) is None)
+        stem = tuple(word for word in column.words if time_unit_ns(word) is None)
         ns = _spelled_ns(column.unit or "", *column.words)
         if counts and (ns or _SECOND) * max(*counts, 1) < _SECOND:
             fractions.setdefault(stem, column)

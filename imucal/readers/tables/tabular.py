@@ -37,7 +37,7 @@ from imucal.readers.tables.stamps import (
     unwrapped,
 )
 from imucal.recording import Recording, Sensor
-from imucal.units import TIME_UNITS_NS
+from imucal.units import LONG_TIME_UNITS_NS, TIME_UNITS_NS, time_unit_name, time_unit_ns
 
 #: Largest relative difference between the given rate and the rate in a time unit.
 _RATE_TOLERANCE = 0.1
@@ -47,8 +47,8 @@ _SECOND = 10**9
 #: Above any sensor's rate; and about 30 years, within 64 bits.
 _MAX_RATE_HZ, _MAX_TIME_NS = 1e6, 1e18
 
-#: Slowest usual rate of IMUs, to guess units from the noise.
-_MIN_RATE_HZ = 10.0
+#: Usual rate of an IMU, in Hz, with which units are inferred if the rate is unknown.
+_USUAL_RATE_HZ = 100.0
 
 #: Above this share of repeated rows, the sensor is slower than the log; below, samples were sent twice.
 _MAX_REPEATED = 0.1
@@ -96,8 +96,8 @@ def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
     plan, unit = columns.plan, work.options.time_unit
     if plan.time is None or (plan.time.kind == "counter" and unit is None):
         return _counted_clock(work, columns)
-    if unit is not None and unit not in TIME_UNITS_NS:
-        known = ", ".join(TIME_UNITS_NS)
+    if unit is not None and time_unit_ns(unit) is None:
+        known = ", ".join(TIME_UNITS_NS | LONG_TIME_UNITS_NS) + ", or a number of them such as 100ns"
         raise refused(work.path, f"{unit!r} is not a time unit; expected one of {known}", ChoiceError)
     if unit is not None and plan.time.kind not in {"stamp", "counter"}:
         has = f"the {plan.triad.sensor} has the time {plan.time.name}, {plan.time.words}"
@@ -180,22 +180,23 @@ def stamps_of(
 def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sensor: Sensor) -> int | None:
     """Return ns per count; None if no unit gives the given rate. Raises ChoiceError if it is ambiguous."""
     rate = work.options.rate_hz
-    unit, how = work.options.time_unit, "as given"
-    if unit is None and time.ns is not None:
-        unit = next((name for name, ns in TIME_UNITS_NS.items() if ns == time.ns), f"{time.ns} ns")
-        work.decide("time unit", f"{unit} for {time.name}, {time.ns_source}")
-        return time.ns
-    if unit is None and rate is not None:
-        rates = rates_by_unit(values).items()
-        unit = next((name for name, found in rates if abs(found / rate - 1) <= _RATE_TOLERANCE), None)
-        how = "from the given rate"
+    stated_ns, how = time.ns, time.ns_source
+    if work.options.time_unit is not None:
+        stated_ns, how = time_unit_ns(work.options.time_unit), "as given"
+    elif stated_ns is None and rate is not None:
+        candidates = time.either_ns or tuple(TIME_UNITS_NS.values())
+        stated_ns, how = _ns_of_rate(values, candidates, rate), "from the given rate"
+    unclear = bool(time.either_ns or time.unknown_unit)
     fits: tuple[str, ...] = ()
-    if unit is None:
+    if stated_ns is None and not unclear:
         unit, fits = infer_time_unit(values)
+        stated_ns = TIME_UNITS_NS[unit] if unit is not None else None
         how = "inferred from its size and its steps"
-    if unit is not None:
-        work.decide("time unit", f"{unit} for {time.name}, {how}")
-        return TIME_UNITS_NS[unit]
+    if stated_ns is not None:
+        work.decide("time unit", f"{time_unit_name(stated_ns)} for {time.name}, {how}")
+        return stated_ns
+    if rate is None and unclear:
+        raise _unclear_unit(work.path, time, values, sensor)
     step = typical_step(values)
     if rate is None:
         raise _open_unit(work.path, time, values, fits, sensor)
@@ -206,6 +207,30 @@ def _ns_per_count(work: RecordingBuilder, time: TimeChoice, values: Numbers, sen
     text = f"{found}; it is ignored, so gaps are not found."
     work.findings.append(Finding("warning", "time-unused", text))
     return None
+
+
+def _ns_of_rate(values: Numbers, candidates: Sequence[int], rate_hz: float) -> int | None:
+    """Return the ns per count, of some candidates, with which the counts have a rate; None if none has."""
+    step = typical_step(values)
+    fits = (ns for ns in candidates if step > 0 and abs(1e9 / (step * ns) / rate_hz - 1) <= _RATE_TOLERANCE)
+    return next(fits, None)
+
+
+def _unclear_unit(path: str, time: TimeChoice, values: Numbers, sensor: Sensor) -> ChoiceError:
+    """Return the error for a time with two readings, or with an unknown unit in its name."""
+    step = typical_step(values)
+    if time.either_ns:
+        readings = " or ".join(
+            f"{1e9 / (step * ns):.6g} Hz in steps of {time_unit_name(ns)}" for ns in time.either_ns
+        )
+        problem = f"increases by {step:g} per row, which is {readings}"
+    else:
+        problem = f"increases by {step:g} per row, and {time.unknown_unit!r} in its name is not a known unit"
+    text = (
+        f"column {time.name!r}, the time of the {sensor}, {problem}; give the time unit, or give the "
+        "sampling rate"
+    )
+    return refused(path, text, ChoiceError)
 
 
 def _open_unit(
@@ -331,7 +356,7 @@ def _clocks(
                 clocks[key] = table_clock(work, columns)
             except ChoiceError as error:
                 lacking.append(error)
-                clocks[key] = ClockReading(clock=Clock.even(n, _MIN_RATE_HZ, source=""))
+                clocks[key] = ClockReading(clock=Clock.even(n, _USUAL_RATE_HZ, source=""))
             axis = triad.sensor.short if columns.table and len({*keys}) > keys.count(key) == 1 else None
             work.findings += [replace(finding, axis=axis) for finding in clocks[key].findings]
         release(*columns.axes, *columns.time, *columns.log_time)

@@ -12,7 +12,7 @@ from imucal.readers.tables.names import Role, parse_column
 from imucal.readers.tables.plan import find_bare_triads, find_temperature, find_triads
 from imucal.readers.tables.text_table import read
 from imucal.recording import Sensor
-from imucal.units import SAMPLE_UNITS, parse_sample_unit, parse_time_unit
+from imucal.units import SAMPLE_UNITS, TIME_UNITS_NS, parse_sample_unit, time_unit_ns
 from tests.readers.tables.texts import N, cells, lines, seconds, truth, two_ardupilots, xyz
 
 GYRO, ACCEL = Role.GYROSCOPE, Role.ACCELEROMETER
@@ -251,10 +251,11 @@ def test_units_of_other_quantities_are_not_sample_units(text: str) -> None:
         ("usec", "us"),
         ("[ns]", "ns"),
         ("g", None),
+        ("ticks", None),
     ],
 )
 def test_each_spelling_of_a_time_unit_has_one_name(text: str, name: str | None) -> None:
-    assert parse_time_unit(text) == name
+    assert time_unit_ns(text) == TIME_UNITS_NS.get(name or "")
 
 
 HEADERS = ["stamp", "wx", "wy", "wz", "ax", "ay", "az", "I", "temp"]
@@ -493,7 +494,7 @@ def test_contradicting_options_are_refused(tmp_path: Path) -> None:
         "both a unit (deg/s) and a scale (0.1) are given for the gyroscope; give one"
     )
     assert refused(tmp_path, content, gyro_unit="g") == (
-        "'g' is not a unit of the gyroscope; expected one of rad/s, mrad/s, deg/s, mdeg/s, deg/h"
+        "'g' is not a unit of the gyroscope; expected one such as rad/s, deg/s, mdeg/s or deg/h"
     )
     assert refused(tmp_path, content, time="foo") == (
         "there is no time column 'foo'; found columns: 0 time (s), 1 gx, 2 gy, 3 gz"

@@ -76,12 +76,14 @@ def moving(scale: float) -> FloatArray:
     ("rows", "accel", "unit", "reason"),
     [
         (noise(1e-3), "m/s^2", "rad/s", "the log does not contain it; the accelerometer is in SI units"),
-        (noise(1e-3), "g", None, "the accelerometer is in g, so deg/s is likely"),
         (
-            moving(1e-3),
+            noise(1e-3),
             "g",
             None,
-            "the accelerometer is in g, but the sensor may have moved, so it may be either",
+            (
+                "its noise of 9.9e-05 per sqrt(Hz) fits a gyroscope in rad/s, and one in deg/s, "
+                "which would have 1.7e-06 rad/s/sqrt(Hz)"
+            ),
         ),
         (
             moving(1.0),
@@ -92,7 +94,15 @@ def moving(scale: float) -> FloatArray:
                 "but the sensor may have moved, so it may be either"
             ),
         ),
-        (noise(1e-3), None, None, "the log does not contain it"),
+        (
+            noise(1e-3),
+            None,
+            None,
+            (
+                "its noise of 9.9e-05 per sqrt(Hz) fits a gyroscope in rad/s, and one in deg/s, "
+                "which would have 1.7e-06 rad/s/sqrt(Hz)"
+            ),
+        ),
         (
             noise(1e-2, 0.7),
             "m/s^2",
@@ -163,8 +173,8 @@ def test_integer_counts_of_a_gyroscope_need_a_scale(tmp_path: Path) -> None:
         read(path, ReadOptions())
     assert str(caught.value) == (
         f"{path}: the unit of the gyroscope is unknown: no header contains it, and the rates are integer "
-        "counts of an unknown scale; expected one of rad/s, mrad/s, deg/s, mdeg/s, deg/h; give its unit, "
-        "or the scale of its counts in rad/s per count"
+        "counts of an unknown scale; expected a unit such as rad/s, deg/s, mdeg/s or deg/h; give its "
+        "unit, or the scale of its counts in rad/s per count"
     )
     recording = read(path, ReadOptions(gyro_scale=np.radians(1 / 131), accel_scale=G0 / 16384))
     assert recording.axis("accelerometer", "z").samples.mean() == pytest.approx(G0, rel=1e-3)
@@ -177,7 +187,7 @@ def test_an_accelerometer_without_plausible_gravity_needs_a_unit(tmp_path: Path)
         read(path, ReadOptions())
     assert str(caught.value) == (
         f"{path}: the unit of the accelerometer is unknown: no header contains it, and median magnitude "
-        "4.905 is not gravity in m/s^2, g or mg; expected one of m/s^2, g, mg, ug; give its unit, or "
-        "the scale of its counts in m/s^2 per count"
+        "4.905 is not gravity in m/s^2, g or mg; expected a unit such as m/s^2, g, mg or cm/s^2; give its "
+        "unit, or the scale of its counts in m/s^2 per count"
     )
     assert read(path, ReadOptions(accel_unit="m/s^2")).series[0].n == N

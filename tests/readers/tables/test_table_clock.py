@@ -90,12 +90,12 @@ def test_a_clock_starts_where_its_stamps_do(first: int) -> None:
     assert at.decisions == [("time unit", "ms for t, by hand"), ("time", "column t, stamps")]
 
 
-def test_a_unit_without_a_name_is_shown_in_ns() -> None:
-    """12 500 000 ns have no named unit."""
+def test_a_unit_without_a_name_is_a_number_of_one_with_a_name() -> None:
+    """12 500 000 ns are 12 500 us."""
     at = work()
     ticks = TimeChoice(kind="stamp", indices=(0,), name="t", ns=12_500_000, ns_source="by hand")
     table_clock(at, columns(ticks, np.arange(1, 101, dtype=np.int64)))
-    assert at.decisions[0] == ("time unit", "12500000 ns for t, by hand")
+    assert at.decisions[0] == ("time unit", "12500 us for t, by hand")
 
 
 def test_a_column_that_increases_by_one_counts_samples_at_the_given_rate() -> None:

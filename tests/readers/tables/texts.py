@@ -391,6 +391,12 @@ def _zip(members: dict[str, str]) -> bytes:
     return buffer.getvalue()
 
 
+def core_motion(t: Truth) -> str:
+    """Write what apps log of Core Motion: seconds since the start of the phone, rad/s and g."""
+    header = "timestamp,rotationRateX,rotationRateY,rotationRateZ,accelerationX,accelerationY,accelerationZ"
+    return lines(header, seconds(t, 81234.5), *xyz(t.gyro), *xyz(t.g))
+
+
 def sensorlog(t: Truth) -> str:
     """Write the separate clocks of the iPhone's sensors; one is 3 ms late."""
     header = (
@@ -750,6 +756,7 @@ STYLES: tuple[Style, ...] = (
     Style(
         name="Sensor Logger zip", build=sensor_logger_zip, file="log.zip", layout="Sensor Logger", tolerance=0
     ),
+    Style(name="Core Motion", build=core_motion, layout="Core Motion"),
     Style(name="SensorLog", build=sensorlog, layout="SensorLog"),
     Style(name="AndroSensor", build=androsensor, tolerance=0),
     Style(name="RealSense", build=realsense, layout="RealSense", tolerance=0),
