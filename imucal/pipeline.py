@@ -227,7 +227,9 @@ def _characterize_axis(
 ) -> AxisReport:
     finite = series.finite()
     if not finite.n:
-        raise DataError(f"{series.name}: no finite samples among {series.n}")
+        raise DataError(
+            f"{series.name}: no usable samples among {series.n}: all are NaN, infinite or absurdly large"
+        )
     # Saves time and memory for a long axis.
     if finite.n > _BLOCK and never_changes(finite.samples):
         raise no_noise(finite)

@@ -21,8 +21,11 @@ AXES: tuple[Axis, ...] = ("x", "y", "z")
 
 #: A finding of more missing samples is a warning.
 _FEW = 1e-3
-#: Larger values are damage in any unit; their squares would overflow.
-ABSURD = 1e100
+#: Larger values are damage in any unit: counts of 48 bits are smaller. Sums of fourth powers can't overflow.
+ABSURD = 1e15
+#: A smaller range of values is no measurement in any unit: white noise of the best sensors is above 1e-12.
+#: Products of four powers can't underflow.
+TINY = 1e-30
 
 
 class Sensor(StrEnum):

@@ -25,7 +25,7 @@ from imucal.allan.variance import (
 from imucal.arguments import takes
 from imucal.arrays import FloatArray, IntArray, blocks
 from imucal.errors import ArgumentError, DataError
-from imucal.recording import AxisSeries
+from imucal.recording import TINY, AxisSeries
 from imucal.resources import memory_limit
 
 #: Smallest number of start points per averaging time, and the first sum of samples; powers of two.
@@ -85,6 +85,7 @@ def allan_curve(
     ):
         return _strided(series, taus)
     series = series.finite()
+    refuse_tiny(series)
     if not series.clock.missing:
         computed, m = "exact", _factors(series, taus, chosen, series.n)
         avar = variances(series.samples, m, chosen)
@@ -104,6 +105,20 @@ def allan_curve(
         computed=computed,
         edf_method=edf,
     )
+
+
+def refuse_tiny(series: AxisSeries) -> None:
+    """Raise DataError if the samples differ, but by less than any sensor's noise."""
+    if not series.n:
+        return
+    span = float(series.samples.max()) - float(series.samples.min())
+    if 0 < span < TINY:
+        msg = (
+            f"{series.name}: all samples are equal to {TINY:g} {series.unit}, expected noise; check the "
+            "choice of "
+            "columns, and the unit or scale"
+        )
+        raise DataError(msg)
 
 
 def same_curve(series: AxisSeries, curve: AllanCurve) -> AllanCurve:

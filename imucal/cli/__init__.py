@@ -11,10 +11,10 @@ import platform
 import re
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Literal, NoReturn, TypeAlias
 
 import click
 from click.shell_completion import CompletionItem
@@ -27,12 +27,46 @@ from imucal.resources import single_matrix_thread
 __all__ = ["COMMANDS", "main", "options_for"]
 
 
+#: What imucal wrote: a folder by the file in it, or a file that is no log.
+ResultKind: TypeAlias = Literal["report", "calibration", "fleet", "file"]
+
+_RESULTS: tuple[tuple[str, ResultKind], ...] = (
+    ("report.json", "report"),
+    ("calibration.json", "calibration"),
+    ("fleet.json", "fleet"),
+    ("manifest.parquet", "fleet"),
+)
+#: Suffixes of files that imucal writes and that are not logs.
+_NO_LOGS = frozenset({".yaml", ".yml", ".toml", ".html", ".png", ".md", ".pdf", ".svg"})
+
+
+def _kind_of_result(path: Path) -> ResultKind | None:
+    """Return what imucal wrote at a path, or None."""
+    if path.is_dir():
+        return next((kind for name, kind in _RESULTS if (path / name).is_file()), None)
+    by_name = {name: kind for name, kind in _RESULTS if name.endswith(".json")}
+    return by_name.get(path.name, "file" if path.suffix.lower() in _NO_LOGS else None)
+
+
+class ClosedPipeError(Exception):
+    """The reader of an output of the program is gone, as in `imucal adev LOG | head`."""
+
+
+@contextmanager
+def _named_closed_pipe() -> Iterator[None]:
+    """Turn BrokenPipeError into an error for which click does not end the process with code 1."""
+    try:
+        yield
+    except BrokenPipeError as error:
+        raise ClosedPipeError from error
+
+
 class LazyGroup(click.Group):
     """A group that imports a command when it is called.
 
     `table` is command -> (module of `imucal.cli`, line of help). The module defines `command`;
     ``module:name`` chooses another name. `of_a_log` is (purpose, command) for the hint if the user types a
-    log instead of a command.
+    log instead of a command, and `of_a_result` the same for a folder or file that imucal wrote, by its kind.
     """
 
     def __init__(
@@ -40,10 +74,19 @@ class LazyGroup(click.Group):
         *,
         table: Mapping[str, tuple[str, str]],
         of_a_log: tuple[str, str],
+        of_a_result: Mapping[ResultKind, tuple[str, str]],
         **attributes: Any,  # noqa: ANN401 - as click has them
     ) -> None:
         super().__init__(**attributes)
-        self.table, self._of_a_log = table, of_a_log
+        self.table, self._of_a_log, self._of_a_result = table, of_a_log, of_a_result
+
+    def make_context(self, *arguments: Any, **more: Any) -> click.Context:  # noqa: ANN401 - click's signature
+        with _named_closed_pipe():
+            return super().make_context(*arguments, **more)
+
+    def invoke(self, ctx: click.Context) -> Any:  # noqa: ANN401 - click's signature
+        with _named_closed_pipe():
+            return super().invoke(ctx)
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
         return list(self.table)
@@ -67,10 +110,12 @@ class LazyGroup(click.Group):
         if near := difflib.get_close_matches(name.lower(), self.table, n=1):
             hint = f"did you mean {near[0]!r}?"
         elif Path(name).exists() or is_url(name):
-            purpose, command = self._of_a_log
+            kind = None if is_url(name) else _kind_of_result(Path(name))
             # The query of a URL may contain a secret.
             name = shown(name) if is_url(name) else name
-            hint = f"to {purpose}, type '{ctx.command_path} {command} {shlex.quote(name)}'"
+            purpose, command = self._of_a_log if kind is None else self._of_a_result.get(kind, ("", ""))
+            typed = command.replace("PATH", shlex.quote(name))
+            hint = f"to {purpose}, type '{typed}'" if typed else f"expected one of {', '.join(self.table)}"
         else:
             hint = f"expected one of {', '.join(self.table)}"
         raise click.UsageError(f"No such command {name!r}; {hint}", ctx)
@@ -149,7 +194,12 @@ def _print_version(ctx: click.Context, _: click.Parameter, wanted: object) -> No
 @click.group(
     cls=LazyGroup,
     table=COMMANDS,
-    of_a_log=("fit a log", "fit"),
+    of_a_log=("fit a log", "imucal fit PATH"),
+    of_a_result={
+        "report": ("write a config file from a report", "imucal export PATH --to kalibr"),
+        "calibration": ("write a config file from a calibration", "imucal export PATH --to kalibr"),
+        "fleet": ("print the state of a fleet", "imucal fleet status PATH"),
+    },
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.option(
@@ -191,6 +241,18 @@ def _fill_streams() -> None:
 
 
 def _run(arguments: Sequence[str] | None) -> int:
+    """Run a command and return its exit code, also if the reader of its output or of its errors is gone."""
+    try:
+        code = _outcome(arguments)
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except (BrokenPipeError, ClosedPipeError):
+        _drop_output()
+        return 141
+    return code
+
+
+def _outcome(arguments: Sequence[str] | None) -> int:
     """Run a command and return its exit code; exceptions become messages here."""
     typed = list(sys.argv[1:] if arguments is None else arguments)
     as_json = "--json" in typed
@@ -203,10 +265,8 @@ def _run(arguments: Sequence[str] | None) -> int:
             obj=typed,
         )
         sys.stdout.flush()
-    except BrokenPipeError:
-        # The reader of the output is gone, as in `imucal adev LOG | head`.
-        _drop_output()
-        return 141
+    except (BrokenPipeError, ClosedPipeError):
+        raise
     except OSError as error:
         if error.errno == errno.ENAMETOOLONG and not os.environ.get("IMUCAL_DEBUG"):
             name = str(error.filename or "")
@@ -228,7 +288,12 @@ def _run(arguments: Sequence[str] | None) -> int:
 
 def _drop_output() -> None:
     """Discard buffered output, so that Python prints no error at its exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    device = os.open(os.devnull, os.O_WRONLY)
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+        with suppress(OSError, ValueError):
+            os.dup2(device, stream.fileno())
 
 
 def _explain(error: BaseException, *, as_json: bool = False) -> int:

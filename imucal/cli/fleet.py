@@ -40,7 +40,8 @@ _COMMANDS = {
 @click.group(
     cls=LazyGroup,
     table=_COMMANDS,
-    of_a_log=("characterise a fleet", "run"),
+    of_a_log=("characterise a fleet", "imucal fleet run PATH"),
+    of_a_result={"fleet": ("print the state of a fleet", "imucal fleet status PATH")},
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="""\b
 Examples:

@@ -6,12 +6,13 @@ import numpy as np
 
 from imucal.allan import AllanCurve, allan_curve, spectrum
 from imucal.allan.dct import shared_transform
-from imucal.allan.engine import same_curve
+from imucal.allan.engine import refuse_tiny, same_curve
 from imucal.arrays import FloatArray
 from imucal.fitting.cross_checks import ambiguity_findings, unseen_spectrum
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.fitting.robust import clean as clean_spikes
 from imucal.fitting.settings import CRITERIA, METHODS, WEIGHTS, FitSettings, load_method
+from imucal.fitting.spectral.blocks import size_of_steps
 from imucal.recording import AxisSeries
 
 __all__ = ["CRITERIA", "METHODS", "WEIGHTS", "Estimate", "FitSettings", "NoiseFit", "fit", "fit_axis"]
@@ -111,6 +112,10 @@ def fit_axis(
             raise ValueError(msg)
         temperature = temperature[series.usable]
     series = series.finite()
+    refuse_tiny(series)
+    if settings.method != "mle" and series.n > 1:
+        # Maximum likelihood does the same.
+        size_of_steps(series)
     cleaned, findings = clean_spikes(series) if settings.clean else (series, ())
     if cleaned is not series:
         series, curve = cleaned, same_curve(cleaned, curve) if curve else None

@@ -224,6 +224,8 @@ class FleetStore:
         damaged = self.damaged()
         with translated(self.folder):
             for path in itertools.chain.from_iterable(damaged.values()):
+                if path.is_dir():
+                    shutil.rmtree(path)
                 path.unlink(missing_ok=True)
         return list(damaged)
 
@@ -284,6 +286,8 @@ def _is_whole(path: Path, columns: Iterable[str]) -> bool:
     except FileNotFoundError:
         if not columns:
             raise
+        return False
+    except IsADirectoryError:
         return False
     at = max(_footer_at(data), _SEAL)
     return data[at - _SEAL : at] == _digest(data[: at - _SEAL] + data[at:], columns)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import field
 from pathlib import Path, PurePosixPath
 from typing import TypeVar
-from urllib.parse import unquote, urlsplit, urlunsplit
+from urllib.parse import SplitResult, unquote, urlsplit, urlunsplit
 
 from imucal.errors import ImucalError, ReadError, SettingError
 from imucal.frozen import frozen
@@ -56,13 +56,24 @@ def shown(url: str) -> str:
     if not _URL.match(url):
         return url
     if scheme_of(url) in WEB:
-        parts = urlsplit(url)
+        parts = split_web(url)
         return urlunsplit((parts.scheme, parts.netloc.rpartition("@")[2], parts.path, "", ""))
     scheme, _, rest = url.partition("://")
     host, slash, path = rest.partition("/")
     user, _, place = host.rpartition("@")
     # Azure writes container@account, which is not a secret.
     return f"{scheme}://{place if ':' in user else host}{slash}{path}"
+
+
+def split_web(url: str) -> SplitResult:
+    """Return the parts of a web address; raises ReadError if it is not one."""
+    try:
+        return urlsplit(url)
+    except ValueError as error:
+        # The parts are unknown, so a password can't be removed.
+        place = re.sub(r"//[^/]*@", "//", url).partition("?")[0]
+        msg = f"{place}: not a valid web address ({error}); expected https://host/path"
+        raise ReadError(msg) from error
 
 
 def refused(url: str, text: str) -> ReadError:
@@ -73,7 +84,7 @@ def refused(url: str, text: str) -> ReadError:
 def path_of(url: str) -> str:
     """Return the path of a URL without bucket or host."""
     if scheme_of(url) in WEB:
-        return unquote(urlsplit(url).path)
+        return unquote(split_web(url).path)
     return url.partition("://")[2].partition("/")[2]
 
 

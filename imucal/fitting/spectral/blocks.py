@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from imucal.allan.dct import DctBins, dct_bins, fast_length, own_ordinates, ramp_ordinates
+from imucal.allan.engine import refuse_tiny
 from imucal.allan.variance import Run, runs_of
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.errors import DataError
@@ -103,6 +104,16 @@ def scale_of(series: AxisSeries) -> float:
             "record for longer"
         )
         raise DataError(msg)
+    size = size_of_steps(series)
+    return float(2.0 ** np.round(np.log2(size)))
+
+
+def size_of_steps(series: AxisSeries) -> float:
+    """Return the root mean square of the steps between samples, in U.
+
+    Equal samples, a ramp without noise, and values that are too small for a measurement raise a DataError.
+    """
+    samples = series.samples
     largest = max(float(samples.max()), -float(samples.min()))
     square, bends = _steps_and_bends(samples, largest) if largest > 0 else (0.0, 0.0)
     size = float(np.sqrt(square)) * largest
@@ -114,7 +125,8 @@ def scale_of(series: AxisSeries) -> float:
             "the column holds a measurement and not a counter"
         )
         raise DataError(msg)
-    return float(2.0 ** np.round(np.log2(size)))
+    refuse_tiny(series)
+    return size
 
 
 def no_noise(series: AxisSeries) -> DataError:

@@ -59,9 +59,10 @@ class NamedColumn:
 
     @property
     def counts(self) -> list[int]:
-        """The non-empty cells, if all are integers."""
+        """The non-empty cells, if all are integers of 64 bits."""
         filled = self.filled
-        return [int(cell) for cell in filled] if all(map(str.isdecimal, filled)) else []
+        whole = all(cell.isdecimal() and len(cell) <= _MAX_DIGITS for cell in filled)
+        return [int(cell) for cell in filled] if whole else []
 
     @property
     def sensor(self) -> Sensor | None:
@@ -71,6 +72,9 @@ class NamedColumn:
         parsed = _sample_or_increment(self.unit) if self.unit else None
         return parsed[1] if parsed and parsed[0] is sensor else None
 
+
+#: Digits of the largest integer of 64 bits.
+_MAX_DIGITS = 19
 
 #: Names of angle and velocity increments since the previous sample, if a unit of increments follows.
 _GYROSCOPE_INCREMENT = re.compile(

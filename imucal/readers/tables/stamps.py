@@ -306,6 +306,9 @@ def why_no_time(table: NamedTable) -> str:
     if parts := _parts_of_dates(table)[0]:
         names = ", ".join(column.header for column in parts)
         return f"{names}: parts of a date; write date and time in one column, such as 2026-11-22 10:00:00.01"
+    unread = next((column for column in table.columns if column.role is Role.TIME and column.filled), None)
+    if unread is not None and _single(table, unread) is None:
+        return f"column {unread.header} contains {unread.filled[0]!r}, which is neither a number nor a date"
     return _steps(table.columns)
 
 

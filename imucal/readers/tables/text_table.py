@@ -109,17 +109,21 @@ def read_table(
     *,
     name: str = "",
     head: bool = False,
+    trial: bool = False,
 ) -> Recording:
     """Read the table of an open text; only its first lines if `head`.
 
-    The file `name` may contain the sensor. Raises ChoiceError if columns, units or time are ambiguous,
-    ReadError if the text is not a table, DataError without samples.
+    The file `name` may contain the sensor. In a `trial` of proposed columns, an error proposes no others.
+    Raises ChoiceError if columns, units or time are ambiguous, ReadError if the text is not a table, and
+    DataError without samples.
     """
     keep_freed_memory()
     try:
         layout, plan = plan_of_head(source, options, name)
     except ColumnsError as error:
-        tried = partial(read_table, source, name=name, head=True)
+        if trial:
+            raise
+        tried = partial(read_table, source, name=name, head=True, trial=True)
         raise with_more(source.name, error, options, tried) from error
     groups: dict[Rows, list[SensorPlan]] = {}
     for sensor in plan.sensors:
