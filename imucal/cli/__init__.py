@@ -14,7 +14,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Literal, NoReturn, TypeAlias
+from typing import Any, Literal, NoReturn, TextIO, TypeAlias
 
 import click
 from click.shell_completion import CompletionItem
@@ -247,7 +247,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         sys.stdout.flush()
         sys.stderr.flush()
     except (BrokenPipeError, ClosedPipeError):
-        _drop_output()
+        _drop(sys.stdout, sys.stderr)
         return 141
     return code
 
@@ -277,7 +277,7 @@ def _outcome(arguments: Sequence[str] | None) -> int:
         # Errors of files are WriteErrors, so this is an error of standard output.
         if error.errno not in _FULL or os.environ.get("IMUCAL_DEBUG"):
             return _explain(error, as_json=as_json)
-        _drop_output()
+        _drop(sys.stdout)
         return _explain(WriteError(f"can't write to standard output: {error.strerror}; free some space"))
     except (Exception, KeyboardInterrupt) as error:
         if os.environ.get("IMUCAL_DEBUG"):
@@ -286,10 +286,10 @@ def _outcome(arguments: Sequence[str] | None) -> int:
     return code if isinstance(code, int) else 0
 
 
-def _drop_output() -> None:
-    """Discard buffered output, so that Python prints no error at its exit."""
+def _drop(*streams: TextIO) -> None:
+    """Discard the buffered output of streams, so that Python prints no error at its exit."""
     device = os.open(os.devnull, os.O_WRONLY)
-    for stream in (sys.stdout, sys.stderr):
+    for stream in streams:
         with suppress(OSError, ValueError):
             stream.flush()
         with suppress(OSError, ValueError):
