@@ -75,7 +75,7 @@ def test_far_too_small_values_are_refused(size: float, method: str) -> None:
 @pytest.mark.parametrize("step", [1.0, 1e-3, -0.25])
 def test_a_straight_line_is_a_counter(method: str, step: float) -> None:
     with pytest.raises(DataError, match="on one straight line, expected noise; check that the column"):
-        fit(axis(step * np.arange(N)), method=method)
+        fit(axis(step * np.arange(N, dtype=np.float64)), method=method)
 
 
 def test_straight_lines_on_all_axes_of_a_sensor_have_no_result(tmp_path: Path) -> None:

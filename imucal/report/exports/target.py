@@ -12,6 +12,7 @@ from importlib.resources import files
 from itertools import chain
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
+from imucal.errors import DataError
 from imucal.frozen import frozen_alone
 from imucal.noise.terms import TERMS
 from imucal.prediction.filter_numbers import HORIZON_S, FilterNumbers
@@ -25,6 +26,7 @@ from imucal.report.exports.config_numbers import (
     Numbers,
     WithBias,
 )
+from imucal.report.given import GIVEN
 from imucal.report.result import AxisReport, Report
 from imucal.units import G0
 
@@ -225,6 +227,8 @@ class Target:
     def render(self, report: Report, options: ExportOptions) -> str:
         """Return the text of the file; raises `DataError` if a number is missing."""
         numbers, carried = self.numbers(report, options), self.carries.split()
+        if "K" in carried:
+            _refuse_without_walk(report, self.title)
         known = self._known(numbers)
         body = template(self.text).render(known).removesuffix("\n")
         estimates = [(axis, e) for axis in report.axes for e in axis.fit.estimates]
@@ -280,6 +284,26 @@ def read_targets(families: Iterable[str]) -> Iterator[Target]:
             heading = re.sub(r" \((.+)\)$", r", its \1", own["title"])
             made = {"heading": heading, **shared, **own, **lists, "keys": keys, "text": macros + own["text"]}
             yield Target(name=name, **made)
+
+
+#: A slow term of a data sheet, for a message.
+_SLOW_TERMS = {Sensor.GYROSCOPE: "B=10deg/h", Sensor.ACCELEROMETER: "B=40ug"}
+
+
+def _refuse_without_walk(report: Report, title: str) -> None:
+    """Raise DataError for a model as given, such as N of a data sheet, without any slow noise.
+
+    A measured record bounds the walk; a model does not.
+    """
+    for axis in report.axes:
+        symbols = {term.symbol for term in axis.fit.model.terms}
+        if axis.fit.method == GIVEN and symbols <= {"N", "Q"}:
+            msg = (
+                f"the model of the {axis.sensor} has no slow noise, and {title} needs a random walk of its "
+                "bias; "
+                f"add a term of the data sheet or your own choice, such as '+ {_SLOW_TERMS[axis.sensor]}'"
+            )
+            raise DataError(msg)
 
 
 def _entries(numbers: Numbers, keys: Iterable[Key]) -> Iterator[Entry]:
