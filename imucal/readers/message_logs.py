@@ -171,6 +171,7 @@ def _sensors(
     sensors: list[SensorColumns] = []
     for job, decoding in zip(jobs, decodings, strict=True):
         work.findings += _loss_findings(decoding.losses, decoding.missing)
+        work.findings += _count_findings(job.topic, decoding)
         if not decoding.columns[0].size:
             seen = [loss.text for loss in decoding.losses] + [finding.text for finding in work.findings]
             why = next(iter(seen), "the log has none")
@@ -225,6 +226,18 @@ def _loss_findings(losses: Sequence[Loss], missing: int | None = None) -> list[F
         text = f"The log is damaged in {where}: {same[0].text}; {count}."
         findings.append(Finding("warning", code, text))
     return findings
+
+
+def _count_findings(topic: Topic, decoding: Decoding) -> list[Finding]:
+    """Return a finding if the log counts more messages of a topic than were found or reported as lost."""
+    reported = [loss.messages for loss in decoding.losses]
+    if decoding.missing is None or None in reported:
+        return []
+    lost = decoding.missing - sum(number or 0 for number in reported)
+    if lost <= 0:
+        return []
+    text = f"The log counts {topic.count} messages of topic {topic.name}, and {lost} of them were not found."
+    return [Finding("warning", "damaged", text, "Copy the log again.")]
 
 
 def _lost(n: int) -> str:
