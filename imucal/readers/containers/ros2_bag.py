@@ -19,8 +19,10 @@ from imucal.readers.read_options import Progress
 
 #: Signature of a zstd frame.
 _ZSTD = b"\x28\xb5\x2f\xfd"
-#: A larger compressed message is damage, in bytes.
-_MAX_MESSAGE = 1 << 28
+#: A larger compressed message is damage, in bytes; messages of an IMU have about 300.
+_MAX_MESSAGE = 1 << 20
+#: Most bytes of the messages that are decompressed at once.
+_MAX_BATCH = 1 << 28
 
 
 def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
@@ -132,6 +134,9 @@ class _Unpacked(_Wrapped):
                 unpack_file(path, file, lambda done: progress(done, size) if progress else None)
         except DamagedError as error:
             damage = error
+        except ReadError:
+            self._folder.cleanup()
+            raise
         except OSError as error:
             self._folder.cleanup()
             raise refused(path, f"can't be unpacked to {target.parent}: {error.strerror or error}") from error
@@ -172,14 +177,17 @@ def _decompressed(batch: Batch) -> Batch:
     import zstandard
 
     machine = zstandard.ZstdDecompressor()
-    blobs = []
+    blobs: list[bytes] = []
+    size = 0
     try:
         for frame in batch.messages():
-            damaged_if(
-                zstandard.frame_content_size(frame) > _MAX_MESSAGE,
-                "a compressed message declares an impossible size",
-            )
+            stated = zstandard.frame_content_size(frame)
+            if stated > _MAX_MESSAGE:
+                found = f"a compressed message of {len(frame)} bytes declares {stated}"
+                raise DamagedError(f"{found}; expected at most {_MAX_MESSAGE}")
             blobs.append(machine.decompress(frame, max_output_size=_MAX_MESSAGE))
+            size += len(blobs[-1])
+            damaged_if(size > _MAX_BATCH, f"compressed messages unpack to more than {_MAX_BATCH} bytes")
     except (zstandard.ZstdError, MemoryError) as error:
         raise DamagedError(f"a compressed message is damaged: {error}") from error
     return replace(batch_of_blobs(blobs, batch.log_ns.tolist()), loss=batch.loss)
