@@ -19,6 +19,8 @@ from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.tabular import SensorColumns, assemble
 from imucal.recording import Recording, Sensor
 
+#: Most topics of a log; finding the sensors of one takes 1 ms.
+_MAX_TOPICS = 5000
 DAMAGE = frozenset({"truncated", "unindexed", "crc", "damaged", "index", "compression", "encapsulation",
                     "definition"})  # fmt: skip
 
@@ -96,10 +98,18 @@ def _opened(
     with ExitStack() as closed:
         for container in containers:
             closed.callback(container.close)
+        _refuse_many_topics(path, containers)
         with _naming(path):
             topics = find_topics(containers, options)
         findings = [finding for container in containers for finding in container.findings]
         yield OpenLog(path, form, topics, findings, containers)
+
+
+def _refuse_many_topics(path: Path, containers: Sequence[Container]) -> None:
+    n = max((len(container.channels) for container in containers), default=0)
+    if n > _MAX_TOPICS:
+        way = "copy those of the IMU to another log, such as with `mcap filter` or `ros2 bag convert`"
+        raise refused(path, f"it contains {n} topics; expected at most {_MAX_TOPICS}; {way}")
 
 
 def describe_topics(log: OpenLog, options: ReadOptions) -> tuple[TopicContents, ...]:

@@ -182,19 +182,11 @@ def test_large_metadata_and_files_that_are_not_regular_are_refused(tmp_path: Pat
         open_folder(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "text"),
-    [
-        ("message_count: 5", "message_count: 6", "6 messages"),
-        ("name: /imu/data", "name: /imu/lost", "5 messages of topic /imu/lost, and its files contain 0"),
-    ],
-)
-def test_counts_in_the_metadata_that_differ_are_reported(
-    old: str, new: str, text: str, tmp_path: Path
-) -> None:
+def test_counts_in_the_metadata_that_differ_are_reported(tmp_path: Path) -> None:
     """The metadata count messages by topic, by file and in all."""
     path = write_db3(tmp_path / "bag", imu_messages(samples(5)))
     metadata = path / "metadata.yaml"
+    old, new = "message_count: 5", "message_count: 6"
     assert describe(path).findings == ()
     for place in range(metadata.read_text().count(old)):
         parts = metadata.read_text().split(old)
@@ -203,7 +195,7 @@ def test_counts_in_the_metadata_that_differ_are_reported(
         (copy / "metadata.yaml").write_text(changed)
         (finding,) = describe(copy).findings
         assert (finding.level, finding.code) == ("warning", "damaged")
-        assert finding.text.startswith(f"metadata.yaml of the bag counts {text}")
+        assert finding.text.startswith("metadata.yaml of the bag counts 6 messages")
 
 
 def test_files_of_a_ros2_bag_are_sorted_by_number(tmp_path: Path) -> None:
