@@ -33,8 +33,8 @@ _FETCH = 1024
 _MIN_RANGE = 16
 #: Most rows counted by topic: counting takes 0.1 us a row.
 _COUNTED = 2_000_000
-#: Larger files are not checked page by page, in bytes: the check reads the whole file, at about 1 GB/s.
-_CHECKED_BYTES = 1 << 28
+#: Larger files are not checked page by page, in bytes: the check takes 0.6 us a row, a quarter of reading it.
+_CHECKED_BYTES = 1 << 24
 #: Longest value, in bytes; messages of images and point clouds are shorter.
 _MAX_VALUE = 1 << 28
 #: Instructions of SQLite between checks of the time: about 10 ms.
@@ -248,13 +248,16 @@ class SqliteFile(MessageFile):
 
     def _count(self, topics: list[Any]) -> dict[int, int] | None:
         span = self._rows.stop - self._rows.start
+        # SQLite counts with the index of times, so rows lost in the table are counted.
+        total = _if_whole(lambda: int(self._base.execute("select count(*) from messages").fetchone()[0]))
         if len(topics) == 1:
-            # SQLite counts with the index of times, so rows lost in the table are counted.
-            count = _if_whole(lambda: int(self._base.execute("select count(*) from messages").fetchone()[0]))
-            return {topics[0][0]: span if count is None else count}
+            return {topics[0][0]: span if total is None else total}
+        known = self._counts or {}
+        stated = {key: known[name] for key, name, _, _ in topics if name in known}
+        complete = len(stated) == len(topics)
+        if complete and (sum(stated.values()) == total or span > _COUNTED):
+            return stated
         if span > _COUNTED:
-            if self._counts is not None and all(name in self._counts for _, name, _, _ in topics):
-                return {key: self._counts[name] for key, name, _, _ in topics}
             return None
         query = "select topic_id, count(*) from messages group by topic_id"
         return _if_whole(lambda: dict(self._base.execute(query).fetchall()))

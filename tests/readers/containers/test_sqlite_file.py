@@ -82,7 +82,7 @@ def test_topics_have_counts_and_definitions(tmp_path: Path) -> None:
 
 
 def test_messages_are_counted_or_the_count_is_that_of_the_metadata(tmp_path: Path) -> None:
-    """Messages are counted, unless there are millions of several topics."""
+    """The counts of the metadata are used if their sum is right, or there are millions of messages."""
     path = database(tmp_path)
 
     def counts(known: dict[str, int] | None) -> list[int | None]:
@@ -90,6 +90,8 @@ def test_messages_are_counted_or_the_count_is_that_of_the_metadata(tmp_path: Pat
             return [channel.count for channel in file.channels]
 
     assert counts({"/t1": 70, "/t2": 0}) == [5, 5]
+    # Counting by topic takes 0.6 us a row, so counts with the right sum are used.
+    assert counts({"/t1": 4, "/t2": 6}) == [4, 6]
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(sqlite, "_COUNTED", 10)
         assert counts(None) == [5, 5]
@@ -177,7 +179,7 @@ def lost_page(folder: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("checked", [1 << 28, 0])
+@pytest.mark.parametrize("checked", [1 << 24, 0])
 def test_messages_that_only_the_index_lists_are_damage(checked: int, tmp_path: Path) -> None:
     """Large files are not checked page by page, but their counts are compared."""
     path = lost_page(tmp_path)
