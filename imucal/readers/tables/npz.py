@@ -78,6 +78,8 @@ def _array(name: str, file: IO[bytes], size: int, notes: Notes, *, large: bool) 
     n, held = math.prod(shape), size - file.tell()
     if n < 0 or n * dtype.itemsize > held:
         raise ValueError(f"{name}{_SUFFIX} declares {n * dtype.itemsize} bytes and contains {held}")
+    if n * dtype.itemsize < held:
+        notes.damage = f"{name}{_SUFFIX} declares {n * dtype.itemsize} bytes and contains {held}"
     flat = allocated(n, dtype, 0 if large else held)
     # `zipfile` verifies the checksum at the end.
     fill(flat.view(np.uint8), file)

@@ -289,3 +289,15 @@ def test_an_npy_file_is_not_mapped(tmp_path: Path) -> None:
     os.truncate(path, path.stat().st_size - 8)
     with pytest.raises(ReadError, match="declares 14400 bytes and contains 14392"):
         open_table(path)
+
+
+def test_an_npy_file_longer_than_its_head_declares_is_damaged(tmp_path: Path) -> None:
+    """The rows after inserted bytes are shifted."""
+    path = tmp_path / "log.npy"
+    np.save(path, np.random.default_rng(1).normal(size=(600, 3)))
+    assert open_table(path).damage == ""
+    with path.open("ab") as file:
+        file.write(bytes(5))
+    assert open_table(path).damage == ".npy declares 14400 bytes and contains 14405"
+    finding = read(path, rate_hz=100, columns="g=0:3", gyro_unit="rad/s").findings[0]
+    assert (finding.level, finding.code) == ("warning", "damaged")
