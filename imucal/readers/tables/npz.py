@@ -76,10 +76,11 @@ def _array(name: str, file: IO[bytes], size: int, notes: Notes, *, large: bool) 
         notes.skip(name or "array", shape, dtype)
         return None
     n, held = math.prod(shape), size - file.tell()
+    label = f"{name}{_SUFFIX}" if name else "the array"
     if n < 0 or n * dtype.itemsize > held:
-        raise ValueError(f"{name}{_SUFFIX} declares {n * dtype.itemsize} bytes and contains {held}")
+        raise ValueError(f"{label} declares {n * dtype.itemsize} bytes and contains {held}")
     if n * dtype.itemsize < held:
-        notes.damage = f"{name}{_SUFFIX} declares {n * dtype.itemsize} bytes and contains {held}"
+        notes.damage = f"{label} declares {n * dtype.itemsize} bytes and contains {held}"
     flat = allocated(n, dtype, 0 if large else held)
     # `zipfile` verifies the checksum at the end.
     fill(flat.view(np.uint8), file)

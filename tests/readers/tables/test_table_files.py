@@ -298,6 +298,6 @@ def test_an_npy_file_longer_than_its_head_declares_is_damaged(tmp_path: Path) ->
     assert open_table(path).damage == ""
     with path.open("ab") as file:
         file.write(bytes(5))
-    assert open_table(path).damage == ".npy declares 14400 bytes and contains 14405"
+    assert open_table(path).damage == "the array declares 14400 bytes and contains 14405"
     finding = read(path, rate_hz=100, columns="g=0:3", gyro_unit="rad/s").findings[0]
     assert (finding.level, finding.code) == ("warning", "damaged")
