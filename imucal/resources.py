@@ -7,6 +7,7 @@ including library threads.
 import os
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path, PurePosixPath
 
 from imucal.errors import SettingError
@@ -52,8 +53,12 @@ def size_setting(name: str, *, least: int = 1) -> int | None:
         raise SettingError(f"{name}: found {text!r}, expected {error}; set one, or unset it") from error
 
 
+@cache
 def memory_there_is() -> int | None:
-    """Return the memory of the machine in bytes, or the smaller limit of its control group."""
+    """Return the memory of the machine in bytes, or the smaller limit of its control group.
+
+    It is found once, because reading the limits takes 1 ms and each topic of a log asks.
+    """
     return min((size for size in (_physical(), *control_group_limits()) if size), default=None)
 
 

@@ -57,7 +57,9 @@ def test_the_default_is_a_quarter_of_the_smallest_limit(monkeypatch: pytest.Monk
     ):
         monkeypatch.setattr(resources, "_physical", lambda value=physical: value)
         monkeypatch.setattr(resources, "control_group_limits", lambda value=groups: value)
+        resources.memory_there_is.cache_clear()
         assert memory_limit() == limit
+    resources.memory_there_is.cache_clear()
 
 
 @pytest.mark.parametrize(

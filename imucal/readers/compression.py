@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
-from imucal.readers.files import DamagedError, damaged_if
+from imucal.readers.files import DamagedError, damaged_if, refused
 
 try:
     from zlib_ng.zlib_ng import crc32
@@ -21,19 +21,30 @@ __all__ = [
     "crc32",
     "decompress",
     "keep_freed_memory",
+    "most_unpacked",
     "unpack_file",
 ]
 
 #: Smaller sizes, in bytes, are not checked.
 _SMALL = 1 << 26
-#: Largest ratio of larger sizes.
+#: Largest ratio of larger chunks.
 _MAX_RATIO = 400
+#: Largest ratio of larger files: a recording is compressed to a tenth, one of constant samples to a fiftieth.
+_MAX_FILE_RATIO = 100
+
+#: Longest head of a zstd frame, in bytes.
+_ZSTD_HEAD = 18
 
 #: Signature of an lz4 frame.
 _LZ4 = b"\x04\x22\x4d\x18"
 
 #: Compression names; MCAP writes "" and ROS bags write "none".
 KINDS = ("", "none", "zstd", "lz4", "bz2")
+
+
+def most_unpacked(packed: int) -> int:
+    """Return the largest plausible size of a file of `packed` bytes after unpacking, in bytes."""
+    return max(_SMALL, _MAX_FILE_RATIO * packed)
 
 
 def keep_freed_memory() -> None:
@@ -86,17 +97,35 @@ def check_crc(raw: memoryview, expected: int) -> None:
 def unpack_file(source: Path, target: IO[bytes], progress: Callable[[int], None]) -> None:
     """Decompress a zstd file into an open file; calls `progress` with the number of bytes read.
 
-    Raises DamagedError if the file is damaged; the part before the damage is written.
+    Raises DamagedError if the file is damaged; the part before the damage is written. Raises ReadError if it
+    unpacks to more than recordings do.
     """
     import zstandard
 
-    with source.open("rb") as file, zstandard.ZstdDecompressor().stream_reader(file) as reader:
-        try:
-            while block := reader.read(1 << 22):
-                target.write(block)
-                progress(file.tell())
-        except zstandard.ZstdError as error:
-            raise DamagedError(f"the zstd stream is damaged: {error}") from error
+    size = source.stat().st_size
+    most, written = most_unpacked(size), 0
+    with source.open("rb") as file:
+        head = file.read(_ZSTD_HEAD)
+        file.seek(0)
+        with zstandard.ZstdDecompressor().stream_reader(file) as reader:
+            try:
+                # The size is -1 if the head lacks it.
+                _require_plausible(source, zstandard.frame_content_size(head), most)
+                while block := reader.read(1 << 22):
+                    written += len(block)
+                    _require_plausible(source, written, most)
+                    target.write(block)
+                    progress(file.tell())
+            except zstandard.ZstdError as error:
+                raise DamagedError(f"the zstd stream is damaged: {error}") from error
+
+
+def _require_plausible(source: Path, size: int, most: int) -> None:
+    if size > most:
+        found = f"it unpacks to more than {most} bytes"
+        raise refused(
+            source, f"{found}; no recording is compressed so much, unpack it yourself with `zstd -d`"
+        )
 
 
 def _unpack_zstd(data: memoryview, size: int) -> bytes:

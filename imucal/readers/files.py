@@ -1,5 +1,6 @@
 """Read bytes of a log file from any thread."""
 
+import stat
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -38,6 +39,19 @@ def damaged_if(wrong: object, text: str, code: str = "damaged") -> None:
     """Raise DamagedError if `wrong`."""
     if wrong:
         raise DamagedError(text, code)
+
+
+def require_file(path: Path) -> None:
+    """Raise ReadError unless a path is a regular file, or a link to one.
+
+    Reading a pipe may wait forever, and devices such as /dev/zero have no end.
+    """
+    with refusing(path, "can't be opened"):
+        mode = path.stat().st_mode
+    if not stat.S_ISREG(mode):
+        kinds = {stat.S_IFIFO: "a pipe", stat.S_IFDIR: "a folder", stat.S_IFSOCK: "a socket"}
+        found = kinds.get(stat.S_IFMT(mode), "a device")
+        raise refused(path, f"{found}; expected a regular file, copy the data to one")
 
 
 def first_bytes(path: Path, size: int) -> bytes:

@@ -8,6 +8,7 @@ is a topic. PX4's ``_fifo`` messages contain every sample of a buffer. Sources: 
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -27,6 +28,7 @@ from imucal.readers.messages.topics import Column, Topic, held_topic
 from imucal.readers.messages.trees import TIME
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.dialects import Dialect
+from imucal.readers.ulog_walk import walk
 from imucal.recording import AXES, Recording
 
 #: Signature of a ULog.
@@ -55,18 +57,20 @@ _TEMPERATURES = ("temperature", "T")
 
 
 class FlightLog(NamedTuple):
-    """IMU messages by name and instance, whether the log is damaged, and the dropouts in ms."""
+    """IMU messages by name and instance, dropouts in ms, and whether the log is damaged or cut off."""
 
     messages: dict[tuple[str, int], Fields]
     damaged: bool
     dropouts: list[int]
+    truncated: bool = False
 
 
 def ulog_content(path: Path) -> FlightLog:
     """Return the IMU messages of a ULog."""
     from pyulog import ULog
 
-    with path.open("rb") as file:
+    walked = walk(path.read_bytes())
+    with BytesIO(walked.sound()) if walked.resumed else path.open("rb") as file:
         log = ULog(file, message_name_filter_list=list(PX4))
     known = [e for e in log.data_list if e.name in PX4 and np.size(e.data.get("timestamp", ()))]
     # Copy: pyulog's fields are views of the whole messages.
@@ -75,7 +79,8 @@ def ulog_content(path: Path) -> FlightLog:
         for entry in known
     }
     dropouts = [int(dropout.duration) for dropout in log.dropouts]
-    return flight_log(found, PX4, damaged=bool(log.file_corruption), dropouts=dropouts)
+    damaged = walked.damaged or bool(log.file_corruption)
+    return flight_log(found, PX4, damaged=damaged, dropouts=dropouts)._replace(truncated=walked.truncated)
 
 
 def flight_log(
@@ -228,6 +233,9 @@ def log_findings(log: FlightLog) -> Iterator[Finding]:
     if log.damaged:
         text = "Parts of the log are damaged; the readable parts were read."
         yield Finding("warning", "damaged", text)
+    if log.truncated:
+        text = "The log ends within a message: it is cut off, so its end is missing."
+        yield Finding("warning", "truncated", text, "Copy it again, unless the power was cut.")
     if log.dropouts:
         count = "a dropout" if len(log.dropouts) == 1 else f"{len(log.dropouts)} dropouts"
         lost = sum(log.dropouts) / 1000

@@ -19,6 +19,8 @@ from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.tabular import SensorColumns, assemble
 from imucal.recording import Recording, Sensor
 
+#: Most topics of a log; finding the sensors of one takes 1 ms.
+_MAX_TOPICS = 5000
 DAMAGE = frozenset({"truncated", "unindexed", "crc", "damaged", "index", "compression", "encapsulation",
                     "definition"})  # fmt: skip
 
@@ -96,10 +98,18 @@ def _opened(
     with ExitStack() as closed:
         for container in containers:
             closed.callback(container.close)
+        _refuse_many_topics(path, containers)
         with _naming(path):
             topics = find_topics(containers, options)
         findings = [finding for container in containers for finding in container.findings]
         yield OpenLog(path, form, topics, findings, containers)
+
+
+def _refuse_many_topics(path: Path, containers: Sequence[Container]) -> None:
+    n = max((len(container.channels) for container in containers), default=0)
+    if n > _MAX_TOPICS:
+        way = "copy those of the IMU to another log, such as with `mcap filter` or `ros2 bag convert`"
+        raise refused(path, f"it contains {n} topics; expected at most {_MAX_TOPICS}; {way}")
 
 
 def describe_topics(log: OpenLog, options: ReadOptions) -> tuple[TopicContents, ...]:
@@ -171,6 +181,7 @@ def _sensors(
     sensors: list[SensorColumns] = []
     for job, decoding in zip(jobs, decodings, strict=True):
         work.findings += _loss_findings(decoding.losses, decoding.missing)
+        work.findings += _count_findings(job.topic, decoding)
         if not decoding.columns[0].size:
             seen = [loss.text for loss in decoding.losses] + [finding.text for finding in work.findings]
             why = next(iter(seen), "the log has none")
@@ -225,6 +236,18 @@ def _loss_findings(losses: Sequence[Loss], missing: int | None = None) -> list[F
         text = f"The log is damaged in {where}: {same[0].text}; {count}."
         findings.append(Finding("warning", code, text))
     return findings
+
+
+def _count_findings(topic: Topic, decoding: Decoding) -> list[Finding]:
+    """Return a finding if the log counts more messages of a topic than were found or reported as lost."""
+    reported = [loss.messages for loss in decoding.losses]
+    if decoding.missing is None or None in reported:
+        return []
+    lost = decoding.missing - sum(number or 0 for number in reported)
+    if lost <= 0:
+        return []
+    text = f"The log counts {topic.count} messages of topic {topic.name}, and {lost} of them were not found."
+    return [Finding("warning", "damaged", text, "Copy the log again.")]
 
 
 def _lost(n: int) -> str:

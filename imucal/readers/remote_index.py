@@ -7,7 +7,7 @@ from imucal.readers.containers import Container
 from imucal.readers.containers.mcap import McapFile
 from imucal.readers.containers.ros1 import BagFile
 from imucal.readers.containers.ros2_bag import mcap_part, open_parts
-from imucal.readers.containers.rosbag2_folder import METADATA, folder_of
+from imucal.readers.containers.rosbag2_folder import METADATA, folder_of, require_metadata_size
 from imucal.readers.contents import LogContents
 from imucal.readers.files import LogFile
 from imucal.readers.formats import detect_head
@@ -56,6 +56,7 @@ def _bag(log: RemoteLog, path: Path, files: Sequence[Path]) -> tuple[list[Contai
     metadata = remote.pop(path / METADATA, None)
     if metadata is None or any(file.suffix != ".mcap" for file in remote):
         return None
+    require_metadata_size(path / METADATA, metadata.size or 0)
     text = bytes(RangedFile(metadata, path).read(0, metadata.size or 0)).decode("utf-8", "replace")
     folder = folder_of(path, [file.name for file in files], text)
     containers, _ = open_parts(

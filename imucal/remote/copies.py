@@ -241,9 +241,15 @@ def _make(log: RemoteLog, entry: Entry, progress: Progress | None) -> None:
     make_room(entry.root, size, most=most - size if size <= most else most)
     done = 0
 
+    # Without a cache, a copy is kept during its use.
+    limit = most or _DEFAULT_SIZE
+
     def count_bytes(count: int) -> None:
         nonlocal done
         done += count
+        if log.size is None and done > limit:
+            advice = f"its server does not report its size; download it, or set {SIZE} to more"
+            raise refused(log.shown, f"it is larger than the cache, {limit / 1e9:.3g} GB; {advice}")
         if progress:
             progress(done, size)
 
@@ -283,13 +289,13 @@ def _download(file: RemoteFile, out: IO[bytes], count_bytes: Callable[[int], Non
                 out.write(block)
                 done += len(block)
                 count_bytes(len(block))
+                if file.size is not None and done > file.size:
+                    raise ChangedError
                 if done > farthest:
                     farthest = done
                     attempts.reset()
             if file.size is None or done == file.size:
                 return
-            if done > file.size:
-                raise ChangedError
             attempts.wait(PassingError(f"the connection ended after {done} of {file.size} bytes"))
         except PassingError as error:
             attempts.wait(error)

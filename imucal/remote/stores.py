@@ -19,7 +19,7 @@ from fnmatch import fnmatchcase
 from html import unescape
 from typing import IO, Any, TypeAlias
 from urllib.error import HTTPError
-from urllib.parse import quote, unquote, urljoin, urlsplit, urlunsplit
+from urllib.parse import SplitResult, quote, unquote, urljoin, urlsplit, urlunsplit
 from urllib.request import HTTPRedirectHandler, Request, build_opener
 
 from imucal._version import __version__
@@ -210,22 +210,37 @@ def _tag(headers: Message) -> str:
 
 
 def _links(folder: str) -> list[str]:
-    """Return the links in a folder's listing that point into it, sorted by name."""
+    """Return the links in a folder's listing that point into it on the same server, sorted by name.
+
+    A listing must not make imucal ask other servers, which would get this user's passwords for them.
+    """
 
     def page() -> bytes:
         with _open(folder) as (_, _, body):
             return body.read(_PAGE)
 
     text = retried(folder, page).decode("utf-8", "replace")
-    base = urlsplit(folder).path
+    listed = urlsplit(folder)
     found = set()
     for link in re.findall(r"""href\s*=\s*["']([^"']+)["']""", text, re.IGNORECASE):
-        target = urljoin(folder, unescape(link))
-        path = urlsplit(target).path
-        inside = path.removeprefix(base)
-        if path.startswith(base) and inside and "/" not in inside.rstrip("/"):
-            found.add(target)
+        try:
+            target = urlsplit(urljoin(folder, unescape(link)))
+            same_server = _server(target) == _server(listed)
+        except ValueError:
+            # The address of the link is invalid.
+            continue
+        inside = target.path.removeprefix(listed.path)
+        in_folder = target.path.startswith(listed.path) and inside and "/" not in inside.rstrip("/")
+        if same_server and in_folder:
+            # The name and password of the folder, never those in a link.
+            found.add(urlunsplit(target._replace(netloc=listed.netloc)))
     return sorted(found)
+
+
+def _server(parts: SplitResult) -> tuple[str, str | None, int | None]:
+    """Return scheme, host and port; raises ValueError for an invalid port."""
+    ports = {"http": 80, "https": 443}
+    return parts.scheme, parts.hostname, parts.port or ports.get(parts.scheme)
 
 
 #: Bytes per request of a download.

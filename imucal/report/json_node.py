@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray
 from imucal.errors import ReadError
+from imucal.printable import printable_json
 from imucal.recording import Sensor
 
 _MAX_TEXT = 40
@@ -270,4 +271,4 @@ def _text(value: object, indent: str) -> str:
     if isinstance(value, list) and any(isinstance(item, dict | list) for item in value):
         lines = [inner + _text(item, inner) for item in value]
         return "[\n" + ",\n".join(lines) + f"\n{indent}]"
-    return json.dumps(value, allow_nan=False, ensure_ascii=False)
+    return printable_json(json.dumps(value, allow_nan=False, ensure_ascii=False))

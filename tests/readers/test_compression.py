@@ -1,9 +1,13 @@
 """Sizes that compressed chunks declare are compared with those of their containers."""
 
+from pathlib import Path
+
 import lz4.frame
 import pytest
+import zstandard
 
-from imucal.readers.compression import decompress
+from imucal.errors import ReadError
+from imucal.readers.compression import decompress, unpack_file
 from imucal.readers.files import DamagedError
 
 RAW = bytes(range(256)) * 40
@@ -24,3 +28,19 @@ def test_an_lz4_chunk_of_several_frames_is_joined() -> None:
     """Each frame declares fewer bytes than the chunk."""
     frames = memoryview(bytes(framed(RAW[:5000])) + bytes(framed(RAW[5000:])))
     assert bytes(decompress("lz4", frames, len(RAW))) == RAW
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_file_that_unpacks_to_too_much_is_refused(stated: bool, tmp_path: Path) -> None:  # noqa: FBT001
+    """A file of 200 kB could fill a disk; the head may state the size."""
+    path = tmp_path / "log.db3.zstd"
+    zeros = bytes((1 << 26) + 1)
+    path.write_bytes(zstandard.ZstdCompressor(write_content_size=stated).compress(zeros))
+    with (tmp_path / "log.db3").open("wb") as target:
+        with pytest.raises(ReadError, match="it unpacks to more than 67108864 bytes; no recording is"):
+            unpack_file(path, target, lambda _: None)
+        assert target.tell() <= (0 if stated else 1 << 26)
+    path.write_bytes(zstandard.ZstdCompressor().compress(zeros[:-1]))
+    with (tmp_path / "log.db3").open("wb") as target:
+        unpack_file(path, target, lambda _: None)
+        assert target.tell() == 1 << 26

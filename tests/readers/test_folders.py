@@ -130,10 +130,10 @@ def test_a_folder_written_by_imucal_is_recognised(file: str, message: str, tmp_p
 
 def test_metadata_are_parsed() -> None:
     """Metadata contain files, compression and message counts, in any order and with any quotes."""
-    names, mode, counts = parse_metadata(METADATA.format(format="zstd", mode="MESSAGE"))
-    assert names == ("bag_10.mcap", "bag_2.mcap")
-    assert mode == "MESSAGE"
-    assert counts == {"/imu/data": 400, "/other": 7}
+    found = parse_metadata(METADATA.format(format="zstd", mode="MESSAGE"))
+    assert found.files == ("bag_10.mcap", "bag_2.mcap")
+    assert found.compression_mode == "MESSAGE"
+    assert found.topic_counts == {"/imu/data": 400, "/other": 7}
 
 
 def test_numbers_in_file_names_are_sorted_as_numbers() -> None:

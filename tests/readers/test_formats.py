@@ -199,3 +199,13 @@ def test_binary_data_with_an_unknown_extension_is_refused(tmp_path: Path) -> Non
         f"{path}: binary data of an unknown format (first bytes 00 01 02 03 04 05 06 07); "
         "expected one of .mcap, .bag, .bag.active, .db3, "
     )
+
+
+def test_a_device_is_refused(tmp_path: Path) -> None:
+    """/dev/zero has no end."""
+    path = tmp_path / "log.mcap"
+    path.symlink_to("/dev/zero")
+    with pytest.raises(
+        ReadError, match=r"log\.mcap: a device; expected a regular file, copy the data to one"
+    ):
+        detect(path)

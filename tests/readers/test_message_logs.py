@@ -1,13 +1,23 @@
 """Recordings from decoded messages: findings about losses, order and repeats, and the index of a topic."""
 
+import sqlite3
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
+import zstandard
 
+from imucal.errors import ReadError
+from imucal.readers import describe, message_logs, read
 from imucal.readers.containers import Channel, Loss
+from imucal.readers.containers.mcap import McapFile
 from imucal.readers.message_logs import _loss_findings
 from imucal.readers.message_samples import in_time_order
 from imucal.readers.messages.topics import Topic
 from imucal.readers.store import Room
+from tests.readers.logs import TOPIC, imu_messages, samples, write_db3, write_mcap
 
 
 def test_losses_of_one_kind_become_one_finding() -> None:
@@ -127,3 +137,45 @@ def test_samples_without_stamps_are_sorted_once() -> None:
     times, samples = np.array([1, 3, 2, 4]), np.arange(4.0)
     assert len(in_time_order(times, times, [samples], Room())) == 1
     assert (times.tolist(), samples.tolist()) == ([1, 2, 3, 4], [0, 2, 1, 3])
+
+
+def test_a_log_of_too_many_topics_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Finding the sensors of 60 000 topics took a quarter of an hour."""
+    path = write_mcap(tmp_path / "log.mcap", imu_messages(samples(20)))
+    n = len(describe(path).topics)
+    monkeypatch.setattr(message_logs, "_MAX_TOPICS", n)
+    describe(path)
+    monkeypatch.setattr(message_logs, "_MAX_TOPICS", n - 1)
+    with pytest.raises(ReadError, match=f"it contains {n} topics; expected at most {n - 1}; copy those of"):
+        describe(path)
+
+
+def test_fewer_messages_than_the_log_counts_are_damage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The counts are those of the statistics of an MCAP file."""
+    path = write_mcap(tmp_path / "log.mcap", imu_messages(samples(20)))
+    assert "damaged" not in {finding.code for finding in read(path).findings}
+    channel = McapFile._channel
+
+    def one_more(file: McapFile, key: int) -> Channel:
+        found = channel(file, key)
+        return replace(found, count=(found.count or 0) + 1)
+
+    monkeypatch.setattr(McapFile, "_channel", one_more)
+    finding = next(finding for finding in read(path).findings if finding.code == "damaged")
+    assert finding.level == "warning"
+    assert finding.text == f"The log counts 21 messages of topic {TOPIC}, and 1 of them were not found."
+    with pytest.raises(ReadError, match="the log is damaged, and strict reading was requested"):
+        read(path, strict=True)
+
+
+def test_a_compressed_message_of_more_than_a_megabyte_is_damage(tmp_path: Path) -> None:
+    """Its head is checked before it is unpacked; messages of an IMU have 300 bytes."""
+    path = next(write_db3(tmp_path / "bag", imu_messages(samples(20)), compression="message").glob("*.db3"))
+    for size in ((1 << 20) + 1, 1 << 29):
+        packed = zstandard.ZstdCompressor().compress(bytes(size))
+        with closing(sqlite3.connect(path)) as base, base:
+            base.execute("update messages set data = ?", (packed,))
+        with pytest.raises(ReadError, match=f"declares {size}; expected at most 1048576"):
+            read(path)

@@ -335,3 +335,34 @@ def test_wildcards_of_a_web_server_use_its_folder_listing(web: WebServer) -> Non
     web.add("/none/", b"<a href='notes.md'>c</a>")
     with pytest.raises(imucal.ReadError, match=r"none/: a folder with notes\.md; expected logs, such as"):
         imucal.read(f"{web.url}/none/")
+
+
+def test_a_file_of_unknown_length_stops_at_the_size_of_the_cache(
+    web: WebServer, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A server could send bytes until the disk is full."""
+    url = web.add("/log.csv", TABLE, length=False, ranges=False)
+    monkeypatch.setenv("IMUCAL_CACHE_SIZE", "10k")
+    with pytest.raises(imucal.ReadError, match=r"it is larger than the cache, 1\.02e-05 GB; its server does"):
+        imucal.read(url, **OPTIONS)
+    assert kept(cache) == []
+
+
+def test_links_of_a_listing_to_other_servers_are_ignored(web: WebServer) -> None:
+    """The user's password for another server would be sent there."""
+    port = web.url.rpartition(":")[2]
+    links = [
+        "a.csv",
+        f"{web.url}/dir/b.csv",
+        f"http://me:password@127.0.0.1:{port}/dir/c.csv",
+        f"http://localhost:{port}/dir/d.csv",
+        "//example.com/dir/e.csv",
+        f"https://127.0.0.1:{port}/dir/f.csv",
+        "http://127.0.0.1:1/dir/g.csv",
+        "http://[::1/dir/h.csv",
+        "ftp://127.0.0.1/dir/i.csv",
+    ]
+    web.add("/dir/", "".join(f'<a href="{link}">' for link in links).encode(), kind="text/html")
+    for name in "abc":
+        web.add(f"/dir/{name}.csv", TABLE)
+    assert expand(f"{web.url}/dir/*.csv") == [f"{web.url}/dir/{name}.csv" for name in "abc"]

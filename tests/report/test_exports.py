@@ -23,7 +23,7 @@ from imucal.prediction import filter_numbers
 from imucal.recording import Axis, Sensor, Source
 from imucal.report.exports import TARGETS, AxisPolicy, export, find_target, render
 from imucal.report.exports.config_numbers import ExportOptions, Numbers, flicker_bank
-from imucal.report.exports.target import comment, decimal, real
+from imucal.report.exports.target import comment, decimal, quoted, real
 from imucal.report.json_file import from_document, to_document
 from imucal.report.json_node import dumps
 from imucal.report.result import AxisReport, Report
@@ -689,3 +689,14 @@ def test_the_state_space_has_the_fits_allan_curve() -> None:
             assert state["phi"] == pytest.approx(math.exp(-1 / (200 * state["T"])), rel=1e-8)
     expected = axis.fit.model.avar(m, rate_hz=200.0)
     np.testing.assert_allclose(np.sqrt(avar / expected), 1, atol=0.08)
+
+
+@pytest.mark.parametrize("sign", ["\x9b", "\x80", "\u202e", "\u2066", "\u200e", "\u200f"])
+def test_control_and_direction_characters_are_escaped(sign: str) -> None:
+    """YAML refuses the former, and the latter reverse the text of an editor."""
+    text = f"/imu{sign}31m"
+    written = quoted(text)
+    assert written.isprintable()
+    assert json.loads(written) == text
+    assert dumps([text]).strip().isprintable()
+    assert comment([text]).isprintable()

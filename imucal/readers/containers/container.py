@@ -86,7 +86,7 @@ class Channel:
     definition_kind: str = ""
     #: Definition in bytes if it is not text.
     schema: bytes = b""
-    #: None if unknown before reading; for SQLite an upper bound.
+    #: None if unknown before reading.
     count: int | None = None
     #: Recording times of the first and last message, in ns; None if not in the index.
     first_ns: int | None = None

@@ -237,7 +237,11 @@ class BagFile(MessageFile):
                 damaged_if(len(data) % PAIR.size, "a chunk's entry in the index is damaged")
                 first, last = entry.time_ns(b"start_time"), entry.time_ns(b"end_time")
                 counts = dict(PAIR.iter_unpack(data))
+                wrong = len(counts) * PAIR.size != len(data) or len(counts) != entry.number(b"count", 4)
+                damaged_if(wrong or 0 in counts.values(), "a chunk's entry in the index is damaged")
                 self._chunks.append(Chunk(entry.number(b"chunk_pos", 8), 0, counts, first, last))
+        counted = {key for chunk in self._chunks for key in chunk.counts or ()}
+        damaged_if(counted - self._connections.keys(), "the index counts messages of unknown connections")
         cut = end < len(section) or len(self._chunks) < bag.number(b"chunk_count", 4)
         cut |= len(self._connections) < bag.number(b"conn_count", 4)
         damaged_if(cut, "the index is cut off", "truncated")

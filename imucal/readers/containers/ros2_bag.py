@@ -1,7 +1,7 @@
 """ROS 2 bags: folders with metadata.yaml, single `.db3` files, and zstd-compressed files or messages."""
 
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from inspect import get_annotations
@@ -19,14 +19,16 @@ from imucal.readers.read_options import Progress
 
 #: Signature of a zstd frame.
 _ZSTD = b"\x28\xb5\x2f\xfd"
-#: A larger compressed message is damage, in bytes.
-_MAX_MESSAGE = 1 << 28
+#: A larger compressed message is damage, in bytes; messages of an IMU have about 300.
+_MAX_MESSAGE = 1 << 20
+#: Most bytes of the messages that are decompressed at once.
+_MAX_BATCH = 1 << 28
 
 
 def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Container], str]:
     """Open the files of a bag and return its format; raises ReadError if it can't be read."""
     folder = open_folder(path) if path.is_dir() else Folder(files=(path,))
-    counts = folder.counts if len(folder.files) == 1 else None
+    counts = folder.metadata.topic_counts if len(folder.files) == 1 and not folder.missing else None
     return open_parts(folder, lambda file: _open(file, folder, counts, progress))
 
 
@@ -44,8 +46,42 @@ def open_parts(folder: Folder, opened: Callable[[Path], Container]) -> tuple[lis
         names = ", ".join(folder.missing[:5])
         text = f"{len(folder.missing)} files of the bag are missing: {names}; their time is a gap."
         containers[0].findings.append(Finding("warning", "file-missing", text))
+    else:
+        containers[0].findings.extend(_count_findings(folder, containers))
     form = containers[0].format
     return containers, "rosbag2-mcap" if form == "mcap" else form
+
+
+def _count_findings(folder: Folder, containers: Sequence[Container]) -> Iterator[Finding]:
+    """Yield a finding if the metadata count other numbers of messages than the files."""
+    topics: dict[str, int | None] = {}
+    files: dict[str, int | None] = {}
+    for path, container in zip(folder.files, containers, strict=True):
+        files[path.name] = _sum(channel.count for channel in container.channels)
+        for channel in container.channels:
+            topics[channel.topic] = _sum((topics.get(channel.topic, 0), channel.count))
+    differences = [
+        f"{stated} messages of topic {topic}, and its files contain {topics[topic]}"
+        for topic, stated in folder.metadata.topic_counts.items()
+        # Names with escapes are not decoded; the number of all messages covers their topics.
+        if topics.get(topic) not in {None, stated}
+    ]
+    for file, stated in folder.metadata.file_counts.items():
+        # The file may have been compressed or unpacked since.
+        if files.get(Path(file).name) not in {None, stated}:
+            differences.append(f"{stated} messages in {file}, which contains {files[Path(file).name]}")
+    total, stated_total = _sum(files.values()), folder.metadata.total
+    if total is not None and stated_total not in {None, total}:
+        differences.append(f"{stated_total} messages in all, and its files contain {total}")
+    if differences:
+        text = f"metadata.yaml of the bag counts {differences[0]}."
+        yield Finding("warning", "damaged", text, "Copy the bag again.")
+
+
+def _sum(counts: Iterable[int | None]) -> int | None:
+    """Return the sum of counts; None if one is unknown."""
+    known = list(counts)
+    return None if None in known else sum(count or 0 for count in known)
 
 
 def _open(
@@ -99,6 +135,9 @@ class _Unpacked(_Wrapped):
                 unpack_file(path, file, lambda done: progress(done, size) if progress else None)
         except DamagedError as error:
             damage = error
+        except ReadError:
+            self._folder.cleanup()
+            raise
         except OSError as error:
             self._folder.cleanup()
             raise refused(path, f"can't be unpacked to {target.parent}: {error.strerror or error}") from error
@@ -139,14 +178,17 @@ def _decompressed(batch: Batch) -> Batch:
     import zstandard
 
     machine = zstandard.ZstdDecompressor()
-    blobs = []
+    blobs: list[bytes] = []
+    size = 0
     try:
         for frame in batch.messages():
-            damaged_if(
-                zstandard.frame_content_size(frame) > _MAX_MESSAGE,
-                "a compressed message declares an impossible size",
-            )
+            stated = zstandard.frame_content_size(frame)
+            if stated > _MAX_MESSAGE:
+                found = f"a compressed message of {len(frame)} bytes declares {stated}"
+                raise DamagedError(f"{found}; expected at most {_MAX_MESSAGE}")
             blobs.append(machine.decompress(frame, max_output_size=_MAX_MESSAGE))
+            size += len(blobs[-1])
+            damaged_if(size > _MAX_BATCH, f"compressed messages unpack to more than {_MAX_BATCH} bytes")
     except (zstandard.ZstdError, MemoryError) as error:
         raise DamagedError(f"a compressed message is damaged: {error}") from error
     return replace(batch_of_blobs(blobs, batch.log_ns.tolist()), loss=batch.loss)

@@ -4,7 +4,8 @@ A pipe would need all arrays in both processes, twice in each.
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -20,6 +21,28 @@ PIECE = 1 << 24
 
 #: Name of an array, the axis along which it is cut, and its parts with that axis first.
 Part: TypeAlias = tuple[str, int, Iterable[NDArray[Any]]]
+
+
+class RefusedError(Exception):
+    """A file that imucal does not read; the text is the reason with advice. Caught in the child."""
+
+
+@dataclass(slots=True)
+class Notes:
+    """What a file contains in addition to its arrays."""
+
+    #: Objects that only MATLAB or Python reads: name -> class.
+    objects: dict[str, str] = field(default_factory=dict)
+    #: Arrays of types that can't be samples, such as ``gyro (900,) complex128``.
+    skipped: list[str] = field(default_factory=list)
+    #: The contradiction in a damaged file; empty if there is none.
+    damage: str = ""
+    #: Why the file is refused; empty if it is read.
+    refusal: str = ""
+
+    def skip(self, name: str, shape: Sequence[int], dtype: np.dtype[Any]) -> None:
+        """Add an array of an unsuitable type."""
+        self.skipped.append(f"{name} {(*shape,)} {dtype.name}")
 
 
 class _Place(NamedTuple):

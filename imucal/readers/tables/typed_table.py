@@ -7,7 +7,7 @@ z. Arrays of different lengths are separate tables.
 
 import math
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.errors import ImucalError
+from imucal.findings import Finding
 from imucal.frozen import frozen, frozen_alone
 from imucal.readers.contents import LogContents
 from imucal.readers.files import first_bytes, refused
@@ -23,9 +24,10 @@ from imucal.readers.isolation import isolated, require
 from imucal.readers.message_logs import OpenLog, read_log
 from imucal.readers.messages.topics import HELD_ROWS, Column, Topic, held_topic
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables import hdf5, parquet_pages
 from imucal.readers.tables.columns import ColumnsError
-from imucal.readers.tables.npz import npz_arrays
-from imucal.readers.tables.passed import PIECE, Part, Passed, cut, taken, written
+from imucal.readers.tables.npz import is_numeric, npy_array, npz_arrays
+from imucal.readers.tables.passed import PIECE, Notes, Part, Passed, RefusedError, taken, written
 from imucal.readers.tables.tabular import contents_of, refuse_topics, with_more
 from imucal.readers.ways_out import OBJECTS_IN_NPZ
 from imucal.recording import Recording
@@ -74,8 +76,10 @@ class TypedColumn:
     unit: str | None = None
 
 
-def _parquet_parts(path: Path, _objects: dict[str, str]) -> Iterator[Part]:
+def _parquet_parts(path: Path, notes: Notes) -> Iterator[Part]:
     import polars as pl
+
+    notes.damage = parquet_pages.damage_of(path)
 
     scan = pl.scan_parquet(path, glob=False)
     names, n = scan.collect_schema().names(), int(scan.select(pl.len()).collect().item())
@@ -100,71 +104,36 @@ def _split(series: Any) -> Iterator[tuple[str, Any]]:  # noqa: ANN401 - polars i
         yield name, series
 
 
-def _mat_parts(path: Path, objects: dict[str, str]) -> Iterator[Part]:
+def _mat_parts(path: Path, notes: Notes) -> Iterator[Part]:
     import scipy.io
 
     content = scipy.io.loadmat(str(path), squeeze_me=True, struct_as_record=True)
     for name, value in content.items():
         if not name.startswith("__"):
-            yield from ((label, 0, [array]) for label, array in _flatten(name, value, objects))
+            yield from ((label, 0, [array]) for label, array in _flatten(name, value, notes))
 
 
 def _flatten(
     name: str,
     value: Any,  # noqa: ANN401
-    objects: dict[str, str],
+    notes: Notes,
     depth: int = 0,
 ) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield the numeric arrays by dotted name; add `objects`, which only MATLAB reads: name -> class."""
+    """Yield the numeric arrays by dotted name; note the others."""
     array = np.asarray(value)
     if array.dtype.names == _OBJECT and array.size == 1:
         own, _, kind, _ = array.item()
         label = name if own is None or name != "None" else own.decode("latin-1")
-        objects[label] = kind.decode("latin-1")
+        notes.objects[label] = kind.decode("latin-1")
     elif array.dtype.names is not None and depth < _MAX_DEPTH:
         for part in array.dtype.names:
             inner = array[part]
             inner = inner.item() if inner.dtype == object and inner.size == 1 else inner
-            yield from _flatten(f"{name}.{part}", inner, objects, depth + 1)
+            yield from _flatten(f"{name}.{part}", inner, notes, depth + 1)
     elif array.dtype.kind in "biufM":
         yield name, array
-
-
-def _hdf5_parts(path: Path, objects: dict[str, str]) -> Iterator[Part]:
-    import h5py
-
-    with h5py.File(path) as file:
-        nodes: dict[str, Any] = {"": file}
-        file.visititems(nodes.__setitem__)
-        matlab = any("MATLAB_class" in node.attrs for node in file.values())
-        for name, node in nodes.items():
-            kind = node.attrs.get("MATLAB_class", b"").decode("latin-1") if matlab else ""
-            if name.startswith(("#refs#", "#subsystem#")) or kind in {"char", "cell"}:
-                continue
-            if "MATLAB_object_decode" in node.attrs:
-                objects[name.replace("/", ".")] = kind
-            elif isinstance(node, h5py.Dataset) and node.dtype.kind in "biufV":
-                # MATLAB stores matrices transposed.
-                yield name.replace("/", "."), *_cut_dataset(node, transposed=matlab)
-            for number, value in _single_numbers(name, {} if matlab else node.attrs).items():
-                yield number, 0, [value]
-
-
-def _cut_dataset(node: Any, *, transposed: bool) -> tuple[int, Iterable[NDArray[Any]]]:  # noqa: ANN401 - h5py's
-    """Return the longest axis of a dataset and its parts along it, moved to the front."""
-    if not node.size or not node.ndim or node.dtype.hasobject:
-        return 0, [np.asarray(node[()].T if transposed else node[()])]
-    axis = int(np.argmax(node.shape))
-    chunk = node.chunks[axis] if node.chunks else 1
-    parts = (node[(slice(None),) * axis + (rows,)] for rows in cut(node.shape, node.dtype.itemsize, chunk))
-    if not transposed:
-        return axis, (np.moveaxis(part, axis, 0) for part in parts)
-    return node.ndim - 1 - axis, (np.moveaxis(part.T, node.ndim - 1 - axis, 0) for part in parts)
-
-
-def _single_numbers(owner: str, attributes: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-    numbers = {f"{owner}/{key}".strip("/").replace("/", "."): np.asarray(v) for key, v in attributes.items()}
-    return {name: value for name, value in numbers.items() if value.size == 1 and value.dtype.kind in "iuf"}
+    elif array.dtype.kind == "c":
+        notes.skip(name, array.shape, array.dtype)
 
 
 @frozen
@@ -172,6 +141,7 @@ class TableFile:
     """The columns of a file.
 
     `shapes` lists all arrays for messages, such as ``imu (600, 2, 3)``. `way` is advice for unreadable data.
+    `damage` is a contradiction in the file, or empty.
     """
 
     format: str
@@ -179,15 +149,20 @@ class TableFile:
     rate_hz: float | None = None
     shapes: tuple[str, ...] = ()
     way: str = ""
+    damage: str = ""
 
 
-_PARTS = {"Parquet": _parquet_parts, "HDF5": _hdf5_parts, "MAT": _mat_parts}
+_PARTS = {"Parquet": _parquet_parts, "HDF5": hdf5.parts, "MAT": _mat_parts}
 
 
-def write_arrays(kind: str, path: Path, target: Path) -> tuple[Passed, dict[str, str]]:
-    """Write the arrays of a file to another; return their places and the objects. Runs in the child."""
-    objects: dict[str, str] = {}
-    return written(_PARTS[kind](path, objects), target), objects
+def write_arrays(kind: str, path: Path, target: Path) -> tuple[Passed, Notes]:
+    """Write the arrays of a file to another; return their places and the rest. Runs in the child."""
+    notes = Notes()
+    try:
+        return written(_PARTS[kind](path, notes), target), notes
+    except RefusedError as error:
+        notes.refusal = str(error)
+        return {}, notes
 
 
 def open_table(path: Path) -> TableFile:
@@ -200,29 +175,37 @@ def open_table(path: Path) -> TableFile:
     if kind == "HDF5":
         require(path, "h5py", "an HDF5 or MATLAB 7.3 file", extra="hdf5")
     if kind in _PARTS:
-        with tempfile.TemporaryDirectory(prefix="imucal-") as folder:
-            target = Path(folder) / "arrays"
-            # The child may have another working directory.
-            found, objects = isolated(path, write_arrays, kind)(kind, path.absolute(), target)
-            return _of_arrays(kind.lower(), taken(found, target), objects)
+        return _table_of_child(path, kind)
+    notes = Notes()
     try:
-        if kind == "NPZ":
-            arrays, objects = npz_arrays(path)
-        else:
-            arrays, objects = {"": np.load(path, mmap_mode="r", allow_pickle=False)}, {}
+        arrays = npz_arrays(path, notes) if kind == "NPZ" else npy_array(path, notes)
     except ImucalError:
         raise
+    except RefusedError as error:
+        raise refused(path, str(error)) from error
     except Exception as error:
         # `zipfile`, Python's parser and others have their own errors.
         raise refused(path, f"not a readable {kind} file: {str(error) or type(error).__name__}") from error
-    if objects:
-        raise refused(path, f"not a readable NPZ file: {OBJECTS_IN_NPZ.advice(str(path))}")
-    return _of_arrays(kind.lower(), arrays)
+    if notes.objects:
+        raise refused(path, f"not a readable {kind} file: {OBJECTS_IN_NPZ.advice(str(path))}")
+    return _of_arrays(kind.lower(), arrays, notes)
 
 
-def _of_arrays(
-    form: str, arrays: Mapping[str, NDArray[Any]], objects: Mapping[str, str] | None = None
-) -> TableFile:
+def _table_of_child(path: Path, kind: str) -> TableFile:
+    """Read a table in the child, which passes its arrays in a file."""
+    with tempfile.TemporaryDirectory(prefix="imucal-") as folder:
+        target = Path(folder) / "arrays"
+        # The child may have another working directory.
+        found, notes = isolated(path, write_arrays, kind)(kind, path.absolute(), target)
+        if notes.refusal:
+            raise refused(path, notes.refusal)
+        if kind == "HDF5":
+            notes.damage = hdf5.damage_of(path)
+        return _of_arrays(kind.lower(), taken(found, target), notes)
+
+
+def _of_arrays(form: str, arrays: Mapping[str, NDArray[Any]], notes: Notes | None = None) -> TableFile:
+    notes = notes or Notes()
     rate = None
     columns: list[TypedColumn] = []
     for name, array in arrays.items():
@@ -235,10 +218,11 @@ def _of_arrays(
         label, unit = _NAVEGO.get(last, ("", None))
         columns += _of_array(f"{name}.{label}" if label else name, array, unit)
     shapes = [f"{name or 'array'} {array.shape}" for name, array in arrays.items() if array.size != 1]
+    shapes += notes.skipped
     ways = [
         f"{name} is a {kind}, which only MATLAB can read; in MATLAB type "
         + _IN_MATLAB.get(kind, "its arrays into separate variables, and save those").format(name)
-        for name, kind in (objects or {}).items()
+        for name, kind in notes.objects.items()
     ]
     return TableFile(
         format=form,
@@ -246,6 +230,7 @@ def _of_arrays(
         rate_hz=rate,
         shapes=tuple(shapes[:_MAX_LISTED]),
         way="; ".join(ways[:_MAX_LISTED]),
+        damage=notes.damage,
     )
 
 
@@ -255,7 +240,8 @@ def _of_array(name: str, array: NDArray[Any], unit: str | None = None) -> list[T
         parts = [(f"{name}.{part}".lstrip("."), array[part]) for part in array.dtype.names]
         return [column for label, part in parts for column in _of_array(label, part)]
     array = array.squeeze() if array.ndim > 2 else array
-    if not array.ndim:
+    # A field of a record may have such a type.
+    if not array.ndim or not is_numeric(array.dtype):
         return []
     longest = int(np.argmax(array.shape))
     # Transpose a matrix with few rows.
@@ -320,7 +306,11 @@ def _read(path: Path, table: TableFile, options: ReadOptions) -> Recording:
 
 
 def _log(path: Path, table: TableFile, topics: list[Topic]) -> OpenLog:
-    return OpenLog(path, table.format, topics, rate_hz=table.rate_hz)
+    findings = []
+    if table.damage:
+        text = f"The file is damaged: {table.damage}; some values may be wrong."
+        findings.append(Finding("warning", "damaged", text, "Copy it again."))
+    return OpenLog(path, table.format, topics, findings, rate_hz=table.rate_hz)
 
 
 def _topics(path: Path, table: TableFile, options: ReadOptions) -> list[Topic]:

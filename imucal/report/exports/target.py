@@ -16,7 +16,7 @@ from imucal.errors import DataError
 from imucal.frozen import frozen_alone
 from imucal.noise.terms import TERMS
 from imucal.prediction.filter_numbers import HORIZON_S, FilterNumbers
-from imucal.printable import one_line
+from imucal.printable import one_line, printable_json
 from imucal.recording import Sensor
 from imucal.report.exports.config_numbers import (
     COVERING,
@@ -61,8 +61,8 @@ def decimal(value: float) -> str:
 
 
 def quoted(text: str) -> str:
-    """Return a double-quoted scalar, valid in YAML, in JSON and for OpenCV."""
-    return json.dumps(text, ensure_ascii=False)
+    """Return a double-quoted scalar without control characters, valid in YAML, in JSON and for OpenCV."""
+    return printable_json(json.dumps(text, ensure_ascii=False))
 
 
 def comment(lines: Iterable[str], sign: str = "#") -> str:

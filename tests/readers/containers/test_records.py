@@ -1,16 +1,27 @@
 """Records of containers, byte by byte: complete ones are parsed, ones a byte short are refused."""
 
+import os
+import shutil
 import struct
+import time
 from pathlib import Path
 
 import numpy as np
 import numpy.testing as npt
 import pytest
 
+from imucal.errors import ReadError
+from imucal.readers import describe
 from imucal.readers.containers import Channel, mcap, ros1
 from imucal.readers.containers.container import Batch, gather
 from imucal.readers.containers.ros2_bag import open_files
-from imucal.readers.containers.rosbag2_folder import natural, open_folder, parse_metadata
+from imucal.readers.containers.rosbag2_folder import (
+    MAX_METADATA,
+    Metadata,
+    natural,
+    open_folder,
+    parse_metadata,
+)
 from imucal.readers.files import DamagedError
 from tests.readers.containers.mcap_bytes import channel, schema
 from tests.readers.logs import imu_messages, samples, write_db3
@@ -122,10 +133,69 @@ METADATA = """rosbag2_bagfile_information:
 """
 
 
+FILES = """  message_count: 15
+  files:
+    - path: a-1.db3
+      message_count: 10
+    - path: b.db3
+      message_count: 5
+"""
+
+
 def test_ros2_metadata_are_parsed() -> None:
     paths = "  relative_file_paths:\n    - a-1.db3\n    - 'b.db3'\n"
-    assert parse_metadata(METADATA + paths) == (("a-1.db3", "b.db3"), "message", {"/imu": 12, "/gps": 3})
-    assert parse_metadata("") == ((), "", None)
+    found = parse_metadata(METADATA + paths + FILES)
+    assert found.files == ("a-1.db3", "b.db3")
+    assert found.compression_mode == "message"
+    assert found.topic_counts == {"/imu": 12, "/gps": 3}
+    assert found.file_counts == {"a-1.db3": 10, "b.db3": 5}
+    assert found.total == 15
+    assert parse_metadata("") == Metadata()
+
+
+def test_the_time_to_parse_metadata_is_proportional_to_their_length() -> None:
+    """A pattern over several lines took minutes for 300 000 line feeds."""
+    begun = time.process_time()
+    assert parse_metadata("\n" * 300_000 + "x") == Metadata()
+    assert parse_metadata("relative_file_paths:" + " \n" * 300_000 + "x") == Metadata()
+    assert time.process_time() - begun < 10
+
+
+def test_large_metadata_and_files_that_are_not_regular_are_refused(tmp_path: Path) -> None:
+    """A link to /dev/zero has no end, and a pipe waits for its writer."""
+    (tmp_path / "log.mcap").touch()
+    metadata = tmp_path / "metadata.yaml"
+    metadata.write_bytes(b"\n" * (MAX_METADATA + 1))
+    with pytest.raises(ReadError, match="metadata of more than 1 MB; expected"):
+        open_folder(tmp_path)
+    metadata.unlink()
+    metadata.symlink_to("/dev/zero")
+    with pytest.raises(ReadError, match=r"metadata\.yaml: a device; expected a regular file"):
+        open_folder(tmp_path)
+    metadata.unlink()
+    os.mkfifo(metadata)
+    with pytest.raises(ReadError, match=r"metadata\.yaml: a pipe; expected a regular file"):
+        open_folder(tmp_path)
+    metadata.unlink()
+    os.mkfifo(tmp_path / "more.mcap")
+    with pytest.raises(ReadError, match=r"more\.mcap: a pipe; expected a regular file"):
+        open_folder(tmp_path)
+
+
+def test_counts_in_the_metadata_that_differ_are_reported(tmp_path: Path) -> None:
+    """The metadata count messages by topic, by file and in all."""
+    path = write_db3(tmp_path / "bag", imu_messages(samples(5)))
+    metadata = path / "metadata.yaml"
+    old, new = "message_count: 5", "message_count: 6"
+    assert describe(path).findings == ()
+    for place in range(metadata.read_text().count(old)):
+        parts = metadata.read_text().split(old)
+        changed = old.join(parts[: place + 1]) + new + old.join(parts[place + 1 :])
+        copy = shutil.copytree(path, tmp_path / f"copy_{place}")
+        (copy / "metadata.yaml").write_text(changed)
+        (finding,) = describe(copy).findings
+        assert (finding.level, finding.code) == ("warning", "damaged")
+        assert finding.text.startswith("metadata.yaml of the bag counts 6 messages")
 
 
 def test_files_of_a_ros2_bag_are_sorted_by_number(tmp_path: Path) -> None:
@@ -133,17 +203,17 @@ def test_files_of_a_ros2_bag_are_sorted_by_number(tmp_path: Path) -> None:
         (tmp_path / name).touch()
     bare = open_folder(tmp_path)
     assert [file.name for file in bare.files] == ["bag_1.db3.zst", "bag_2.db3", "bag_10.db3"]
-    assert (bare.missing, bare.per_message, bare.counts) == ((), False, None)
+    assert (bare.missing, bare.per_message, bare.metadata) == ((), False, Metadata())
     metadata = tmp_path / "metadata.yaml"
     listed = METADATA + "  relative_file_paths:\n    - bag_1.db3\n    - x/bag_2.db3.zstd\n"
     metadata.write_text(listed)
     found = open_folder(tmp_path)
     assert [file.name for file in found.files] == ["bag_1.db3.zst", "bag_2.db3"]
-    assert (found.missing, found.per_message, found.counts) == ((), True, {"/imu": 12, "/gps": 3})
+    assert (found.missing, found.per_message) == ((), True)
+    assert found.metadata.topic_counts == {"/imu": 12, "/gps": 3}
     metadata.write_text(listed + "    - bag_3.db3\n")
     found = open_folder(tmp_path)
-    # The counts cover all files, so they are unknown if a file is missing.
-    assert (len(found.files), found.missing, found.counts) == (2, ("bag_3.db3",), None)
+    assert (len(found.files), found.missing) == (2, ("bag_3.db3",))
 
 
 def test_numbers_in_names_sort_as_numbers() -> None:

@@ -89,6 +89,16 @@ def test_the_index_section_describes_a_bag(held: Held) -> None:
         (SECTION + infos(len(MAGIC), HEAD), {}, "the index points to wrong chunks"),
         (SECTION + infos(HEAD, HEAD + 2 * len(CHUNK)), {}, "the index points to wrong chunks"),
         (SECTION + record(6, {}, bytes(7)), {}, "a chunk's entry in the index is damaged"),
+        (
+            SECTION + chunk_info(HEAD, {1: 2, 3: 1}) + infos(HEAD + len(CHUNK)),
+            {},
+            "the index counts messages of unknown connections",
+        ),
+        (
+            SECTION + chunk_info(HEAD, {1: 2, 2: 0}) + infos(HEAD + len(CHUNK)),
+            {},
+            "a chunk's entry in the index is damaged",
+        ),
         (SECTION, {"at": 10**6}, "the index is beyond the end of the file"),
         (SECTION, {"at": len(MAGIC) - 1}, "the index is beyond the end of the file"),
         (SECTION, {"at": 0}, "the bag was not closed and has no index"),

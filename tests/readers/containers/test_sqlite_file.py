@@ -81,35 +81,117 @@ def test_topics_have_counts_and_definitions(tmp_path: Path) -> None:
         assert file.sample() == b"m1"
 
 
-def test_counts_come_from_the_metadata_or_the_ids(tmp_path: Path) -> None:
-    """Metadata count if they name every topic, ids if there is one topic.
-
-    Otherwise messages are counted, unless there are millions.
-    """
+def test_messages_are_counted_or_the_count_is_that_of_the_metadata(tmp_path: Path) -> None:
+    """The counts of the metadata are used if their sum is right, or there are millions of messages."""
     path = database(tmp_path)
 
     def counts(known: dict[str, int] | None) -> list[int | None]:
         with closing(SqliteFile(path, known)) as file:
             return [channel.count for channel in file.channels]
 
-    assert counts({"/t1": 70, "/t2": 0}) == [70, 0]
-    assert counts({"/t1": 70}) == [5, 5]
+    assert counts({"/t1": 70, "/t2": 0}) == [5, 5]
+    # Counting by topic takes 0.6 us a row, so counts with the right sum are used.
+    assert counts({"/t1": 4, "/t2": 6}) == [4, 6]
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(sqlite, "_COUNTED", 10)
         assert counts(None) == [5, 5]
         patched.setattr(sqlite, "_COUNTED", 9)
         assert counts(None) == [None, None]
+        assert counts({"/t1": 70}) == [None, None]
+        assert counts({"/t1": 70, "/t2": 6}) == [70, 6]
     assert sqlite._COUNTED == 2_000_000
-    with closing(SqliteFile(path, {"/t1": 70, "/t2": 0})) as file:
-        assert list(file.tasks(frozenset({2}))) == []
     path.unlink()
-    path = database(tmp_path, [(i + 3, 1, i, b"") for i in range(4)], topics=1)
-    assert counts(None) == [4]
+    path = database(tmp_path, [(i + 3, 1, i, b"") for i in (0, 1, 3)], topics=1)
+    assert counts(None) == [3]
     path.unlink()
     path = database(tmp_path, [], topics=1)
     assert counts(None) == [0]
     with closing(SqliteFile(path)) as file:
         assert (file.start_ns, file.end_ns, messages(file, 1), file.sample()) == (None, None, [], b"")
+
+
+ENDLESS = "with recursive c(x) as (select 1 union all select x + 1 from c)"
+
+
+@pytest.mark.parametrize(
+    ("statements", "found"),
+    [
+        (
+            (
+                "drop table messages",
+                f"create view messages as {ENDLESS} select x id, 1 topic_id, x timestamp, x data from c",  # noqa: S608 - a constant
+            ),
+            "messages is a view",
+        ),
+        (
+            ("alter table topics rename to t", "create view TOPICS as select * from t"),
+            "TOPICS is a view",
+        ),
+        (
+            ("drop table messages", "create virtual table messages using fts5(data)"),
+            "messages is a virtual table",
+        ),
+        (
+            (
+                "drop table messages",
+                "create table messages(id, topic_id, timestamp, data blob as (zeroblob(1000000000)))",
+            ),
+            "column data of messages is computed",
+        ),
+    ],
+)
+def test_views_and_computed_columns_are_refused(
+    statements: Sequence[str], found: str, tmp_path: Path
+) -> None:
+    """They may have rows without end, or rows of gigabytes."""
+    path = database(tmp_path)
+    with closing(sqlite3.connect(path)) as base, base:
+        for statement in statements:
+            base.execute(statement)
+    with pytest.raises(ReadError, match=f"{found}; expected a table that ROS wrote"):
+        SqliteFile(path)
+
+
+def test_a_query_that_takes_too_long_is_refused(tmp_path: Path) -> None:
+    path = database(tmp_path, [(i, 1, i, b"") for i in range(1, 3000)], topics=1)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(sqlite, "patience", lambda _: -1.0)
+        patched.setattr(sqlite, "_INSTRUCTIONS", 10)
+        with pytest.raises(ReadError, match="interrupted; expected a ROS 2 bag, a query takes too long"):
+            SqliteFile(path)
+
+
+def lost_page(folder: Path) -> Path:
+    """Return a bag with an index of times, whose table lacks the messages of some pages."""
+    rows: list[Row] = [(i, 1, i, b"%03d" % i * 300) for i in range(1, 160)]
+    path = database(folder, rows, topics=1)
+    with closing(sqlite3.connect(path)) as base, base:
+        base.execute("create index timestamp_idx on messages (timestamp asc)")
+        (root,) = base.execute("select rootpage from sqlite_master where name = 'messages'").fetchone()
+    data = bytearray(path.read_bytes())
+    # An inner page of a table: number of children, last child, and pointers to the cells of the others.
+    at, kept = (root - 1) * 4096, 20
+    assert data[at] == 5
+    cell = at + int.from_bytes(data[at + 12 + 2 * kept : at + 14 + 2 * kept], "big")
+    data[at + 3 : at + 5] = kept.to_bytes(2, "big")
+    data[at + 8 : at + 12] = data[cell : cell + 4]
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize("checked", [1 << 24, 0])
+def test_messages_that_only_the_index_lists_are_damage(checked: int, tmp_path: Path) -> None:
+    """Large files are not checked page by page, but their counts are compared."""
+    path = lost_page(tmp_path)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(sqlite, "_CHECKED_BYTES", checked)
+        with closing(SqliteFile(path)) as file:
+            assert [channel.count for channel in file.channels] == [159]
+            (finding,) = file.findings
+            n = len(messages(file, 1))
+    assert 0 < n < 159
+    assert (finding.level, finding.code) == ("warning", "damaged")
+    assert f"the table has {n} messages and its index 159" in finding.text
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import numpy.testing as npt
 import pytest
@@ -85,3 +86,51 @@ def test_without_the_extra_the_error_explains_the_installation(
             f"{path}: an HDF5 or MATLAB 7.3 file, which an extra reads; "
             "type: pip install 'imucal-noise[hdf5]'"
         )
+
+
+@pytest.mark.parametrize("kind", ["external", "virtual", "link", "nested link"])
+def test_data_in_other_files_are_refused(kind: str, tmp_path: Path) -> None:
+    """The samples in a report would publish another file of the user."""
+    other, path = tmp_path / "other.h5", tmp_path / "log.h5"
+    write_hdf5(other, {"gyro": np.ones((900, 3))})
+    with h5py.File(path, "w") as file:
+        file["accel"] = np.ones((900, 3))
+        if kind == "external":
+            file.create_dataset("gyro", (600,), "u1", external=[(str(other), 0, 600)])
+        elif kind == "virtual":
+            layout = h5py.VirtualLayout((900, 3), "f8")
+            layout[:] = h5py.VirtualSource(str(other), "gyro", (900, 3))
+            file.create_virtual_dataset("gyro", layout)
+        else:
+            place = "imu/raw/gyro" if "nested" in kind else "gyro"
+            file[place] = h5py.ExternalLink(str(other), "/gyro")
+            file["soft"] = h5py.SoftLink(place)
+    for command in (read, describe):
+        with pytest.raises(ReadError, match=r"gyro (has its data|is a virtual|is a link).*other\.h5"):
+            command(path)
+
+
+def test_a_file_longer_than_its_superblock_declares_is_damaged(tmp_path: Path) -> None:
+    """The arrays after inserted bytes are shifted."""
+    rng = np.random.default_rng(3)
+    arrays = {"gyro_rad_s": rng.normal(size=(900, 3)), "time_s": np.arange(900) / 100}
+    for path in (write_hdf5(tmp_path / "a.h5", arrays), write_matlab(tmp_path / "b.mat", arrays)):
+        assert "damaged" not in {finding.code for finding in read(path, **UNITS).findings}
+        size = path.stat().st_size
+        with path.open("ab") as file:
+            file.write(bytes(512))
+        finding = next(finding for finding in read(path, **UNITS).findings if finding.code == "damaged")
+        assert f"it has {size + 512} bytes, and its superblock declares {size}" in finding.text
+
+
+def test_datasets_that_declare_more_than_they_store_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.h5"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("gyro", (10**9, 3), "f8", chunks=(10**4, 3), compression="gzip")
+    with pytest.raises(ReadError, match="gyro declares 24000000000 bytes and stores 0"):
+        read(path)
+    with h5py.File(path, "w") as file:
+        for i in range(4001):
+            file.create_group(f"g{i}")
+    with pytest.raises(ReadError, match="at least 4002 groups and datasets; expected at most 4000"):
+        read(path)

@@ -25,8 +25,8 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def through(kind: str, path: Path) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, str]]:
     """Return the arrays of a file and its objects."""
-    found, objects = write_arrays(kind, path, path.with_suffix(".arrays"))
-    return taken(found, path.with_suffix(".arrays")), objects
+    found, notes = write_arrays(kind, path, path.with_suffix(".arrays"))
+    return taken(found, path.with_suffix(".arrays")), notes.objects
 
 
 @pytest.mark.parametrize("chunks", [None, True, (5, 7, 3), (1, 401, 1)])

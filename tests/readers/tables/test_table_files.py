@@ -1,5 +1,6 @@
 """Arrays and data frames become named columns: axis of the samples, sampling rates, nested structures."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,11 +10,14 @@ import polars as pl
 import pytest
 import scipy.io
 
-from imucal.errors import ChoiceError
+from imucal.errors import ChoiceError, ReadError
+from imucal.readers import read
 from imucal.readers.messages.topics import cells_of
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables import typed_table
+from imucal.readers.tables.passed import Notes
 from imucal.readers.tables.typed_table import _flatten, _of_array, _of_arrays, _plain, open_table
+from tests.readers.tables.hdf5_logs import write_hdf5
 
 
 def shapes(name: str, array: Any) -> list[tuple[str, int]]:  # noqa: ANN401 - an array
@@ -110,14 +114,14 @@ def nested(depth: int) -> Any:  # noqa: ANN401 - an array of structures
 def test_structures_of_matlab_are_flattened() -> None:
     """The limit is eight levels; texts are omitted."""
     for depth, names in ((0, ["x"]), (8, ["x" + ".a" * 8]), (9, [])):
-        assert [name for name, _ in _flatten("x", nested(depth), {})] == names
+        assert [name for name, _ in _flatten("x", nested(depth), Notes())] == names
     found: list[str] = []
     for name, value in (
         ("text", "abc"),
         ("cube", np.zeros((2, 2, 2))),
         ("flags", np.ones((2, 2), dtype=bool)),
     ):
-        found += [label for label, _ in _flatten(name, value, {})]
+        found += [label for label, _ in _flatten(name, value, Notes())]
     assert found == ["cube", "flags"]
 
 
@@ -232,3 +236,68 @@ def test_numbers_as_texts_are_read(tmp_path: Path) -> None:
     pl.DataFrame(columns | {"gy": ["wrong"] * 50}).write_parquet(path)
     with pytest.raises(ChoiceError, match=r"the columns of the gyroscope are not numbers: .*'wrong'"):
         typed_table.read(path, ReadOptions(gyro_unit="rad/s"))
+
+
+@pytest.mark.parametrize("name", ["log.npz", "log.npy", "log.mat", "log.h5"])
+def test_complex_columns_are_refused_by_their_type(name: str, tmp_path: Path) -> None:
+    """NumPy would leave out the imaginary part."""
+    path, values = tmp_path / name, np.ones((600, 3)) * 1j
+    if name == "log.npz":
+        np.savez(path, gyro=values)
+    elif name == "log.npy":
+        np.save(path, values)
+    elif name == "log.mat":
+        scipy.io.savemat(path, {"gyro": values})
+    else:
+        write_hdf5(path, {"gyro": values})
+    with pytest.raises(ReadError, match=r"\(600, 3\) complex128; expected gyroscope or accelerometer arrays"):
+        read(path)
+
+
+def test_columns_that_can_be_read_next_to_complex_ones_are_read(tmp_path: Path) -> None:
+    path = save(tmp_path / "log.npz", gyro=np.ones((600, 3)), spectrum=np.ones(600) * 1j)
+    assert [column.name for column in open_table(path).columns] == ["gyro[0]", "gyro[1]", "gyro[2]"]
+
+
+def test_values_without_bytes_are_refused_by_their_type(tmp_path: Path) -> None:
+    """A file of a hundred bytes may declare any number of them."""
+    path = save(tmp_path / "log.npz", gyro=np.zeros(10**9, dtype="V0"))
+    with pytest.raises(ReadError, match=r"gyro \(1000000000,\) void"):
+        read(path)
+
+
+def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path: Path) -> None:
+    """The sizes are those of the archive's directory, so nothing is unpacked."""
+    path = tmp_path / "log.npz"
+    np.savez_compressed(path, gyro=np.zeros((4_000_000, 3)))
+    with pytest.raises(ReadError, match="declare 96000128 bytes of arrays; no recording"):
+        open_table(path)
+    save(path, **{f"a{i}": np.zeros(1) for i in range(4001)})
+    with pytest.raises(ReadError, match="it contains 4001 arrays; expected at most 4000"):
+        open_table(path)
+
+
+def test_an_npy_file_is_not_mapped(tmp_path: Path) -> None:
+    """If another process cut a mapped file, this one would be killed."""
+    path = tmp_path / "log.npy"
+    values = np.random.default_rng(1).normal(size=(600, 3))
+    np.save(path, values)
+    found = open_table(path)
+    os.truncate(path, 0)
+    np.testing.assert_array_equal(np.stack([column.values for column in found.columns], axis=1), values)
+    np.save(path, values)
+    os.truncate(path, path.stat().st_size - 8)
+    with pytest.raises(ReadError, match="declares 14400 bytes and contains 14392"):
+        open_table(path)
+
+
+def test_an_npy_file_longer_than_its_head_declares_is_damaged(tmp_path: Path) -> None:
+    """The rows after inserted bytes are shifted."""
+    path = tmp_path / "log.npy"
+    np.save(path, np.random.default_rng(1).normal(size=(600, 3)))
+    assert open_table(path).damage == ""
+    with path.open("ab") as file:
+        file.write(bytes(5))
+    assert open_table(path).damage == "the array declares 14400 bytes and contains 14405"
+    finding = read(path, rate_hz=100, columns="g=0:3", gyro_unit="rad/s").findings[0]
+    assert (finding.level, finding.code) == ("warning", "damaged")

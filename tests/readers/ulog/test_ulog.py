@@ -13,6 +13,7 @@ from imucal.errors import ChoiceError, ImucalError, ReadError
 from imucal.readers import read as read_any
 from imucal.readers.flight_logs import describe, read
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.ulog_walk import walk
 from imucal.recording import Sensor
 from tests.real_data import real_data
 
@@ -236,3 +237,85 @@ def test_a_damaged_log_is_read_or_refused_with_a_message(tmp_path: Path) -> None
             assert str(path) in str(error)  # noqa: PT017 - the message is the point
         else:
             assert recording.series
+
+
+def messages_of(data: bytes | bytearray) -> list[int]:
+    """Return the starts of the samples of the first gyroscope, and the end of the log."""
+    starts, at = [], 16
+    while at < len(data):
+        size, kind = struct.unpack_from("<HB", data, at)
+        if kind == ord("D") and data[at + 3 : at + 5] == b"\0\0":
+            starts.append(at)
+        at += 3 + size
+    return [*starts, at]
+
+
+def test_a_log_that_ends_within_a_message_is_truncated(tmp_path: Path) -> None:
+    """A log cut between two messages is complete for all that is known."""
+    path = two_sensors(tmp_path / "log.ulg")
+    data = path.read_bytes()
+    at = messages_of(data)[100]
+    path.write_bytes(data[:at])
+    assert "truncated" not in codes(path)
+    for lost in (1, 2, 3, 20):
+        path.write_bytes(data[: at + lost])
+        assert codes(path) >= {"truncated"}
+        assert read(path, ReadOptions()).series[0].n == 100
+        with pytest.raises(ReadError, match="the log is damaged, and strict reading was requested"):
+            read(path, ReadOptions(strict=True))
+
+
+@pytest.mark.parametrize("shift", [-30, -1, 1, 24])
+def test_samples_after_lost_or_inserted_bytes_are_not_shifted(shift: int, tmp_path: Path) -> None:
+    """The damaged message is left out, and all others equal those of the sound log."""
+    path = two_sensors(tmp_path / "log.ulg")
+    data = path.read_bytes()
+    sound = read(path, ReadOptions())
+    at = messages_of(data)[150] + 11
+    inserted = np.random.default_rng(5).bytes(max(shift, 0))
+    path.write_bytes(data[:at] + inserted + data[at + max(-shift, 0) :])
+    damaged = read(path, ReadOptions())
+    assert "damaged" in {finding.code for finding in damaged.findings}
+    for one, other in zip(sound.series, damaged.series, strict=True):
+        assert one.n - 2 <= other.n < one.n + (one.sensor is not Sensor.GYROSCOPE)
+        assert np.isin(other.samples, one.samples).all()
+
+
+def test_a_changed_size_of_a_message_is_damage(tmp_path: Path) -> None:
+    """The sizes of the messages follow from their formats."""
+    path = two_sensors(tmp_path / "log.ulg")
+    data = bytearray(path.read_bytes())
+    data[messages_of(data)[50]] += 1
+    path.write_bytes(data)
+    assert codes(path) >= {"damaged"}
+    assert read(path, ReadOptions()).series[0].n == 398
+
+
+def test_padding_at_the_end_of_a_message_may_be_left_out() -> None:
+    log = Writer()
+    log.format("vector", "float x;float y;float z;")
+    log.format("sensor_gyro", "uint64_t timestamp;vector[1] v;float x;float y;float z;uint8_t[4] _padding0;")
+    log.add("sensor_gyro")
+    for i in range(100):
+        body = struct.pack("<Q6f", 10_000 * (i + 1), 0, 0, 0, *vectors(100)[i])
+        log.message("sensor_gyro", body + bytes(4 * (i % 2)))
+    walked = walk(log.data)
+    assert (walked.damaged, walked.truncated) == (False, False)
+    assert walked.sound() == log.data
+
+
+def test_data_appended_after_a_crash_are_walked(tmp_path: Path) -> None:
+    """The flags contain the place; the message before it may be incomplete."""
+    path = two_sensors(tmp_path / "log.ulg")
+    data = bytearray(path.read_bytes())
+    at = messages_of(data)[200]
+    cut = at + 10
+    data[16 + 3 + 16 : 16 + 3 + 24] = struct.pack("<Q", cut)
+    walked = walk(bytes(data[:cut] + data[at:]))
+    assert (walked.truncated, walked.damaged, walked.resumed) == (True, False, False)
+    assert walked.sound()[59:] == data[59:]
+
+
+def codes(path: Path) -> set[str]:
+    """Return the codes of a log's findings."""
+    return {finding.code for finding in describe(path, ReadOptions()).findings}
