@@ -146,8 +146,9 @@ def check_filled(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
         if between:
             text = (
                 f"{between:.1%} of the {sensor} samples are exactly midway between their neighbours on all "
-                "axes: the driver or a converter has interpolated lost samples. N includes these samples and "
-                f"is about {0.75 * between:.1%} above the sensor's own."
+                "axes: the driver or a converter has interpolated lost samples, which distorts the curve "
+                "at short "
+                f"times: an N from these times is up to {0.75 * between:.1%} too large."
             )
             advice = "Log the sensor's own samples and leave lost ones out: imucal allows for gaps."
             findings.append(Finding("warning", "interpolated-samples", text, advice, axis=sensor.short))

@@ -1,5 +1,6 @@
 """Columns of a table, and the columns text of users: ``t=0,g=1:4,a=4:7``, or ``t=0,gz=1``."""
 
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from typing import Self
@@ -169,7 +170,7 @@ def parse_columns_text(text: str, table: NamedTable) -> tuple[tuple[Triad, ...],
     """
     try:
         found, rows = _parts(text, table)
-        wrong = next(_problems(found, rows), "")
+        wrong = next(_problems(table, found, rows), "")
     except ValueError as error:
         wrong = str(error)
     if wrong:
@@ -216,27 +217,48 @@ def _indices(value: str, table: NamedTable) -> tuple[int, ...]:
     return indices
 
 
-def _problems(found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) -> Iterator[str]:
+def _problems(
+    table: NamedTable, found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]
+) -> Iterator[str]:
     if not any(key[0] in "ga" for key in found):
         yield "names neither gyroscope (g) nor accelerometer (a)"
     if len(found.get("t", ())) > 3 or len(found.get("temp", ())) > 1:
         yield "t takes up to three columns and temp takes one"
     for key in ("g", "a"):
-        yield from _problems_of(key, found, rows)
+        yield from _problems_of(table, key, found, rows)
     uses = [(index, rows[key]) for key, indices in found.items() for index in indices]
     for at, (index, own) in enumerate(uses):
         # Sensors may share a column in different rows.
         if any(index == other and (None in (own, its) or own == its) for other, its in uses[:at]):
-            yield f"column {index} is named twice; for a log of one axis give gz={index} alone"
+            name = table.columns[index].header
+            way = f"for a log of one axis give gz={index} alone"
+            if name.strip("\"'").isdigit():
+                way = (
+                    f"its name is {name.strip()}, and a number that is a name comes first; give a range "
+                    "such as a=2:5"
+                )
+            yield f"column {index} is named twice; {way}"
 
 
-def _problems_of(key: str, found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]) -> Iterator[str]:
+def _pivoted(table: NamedTable) -> str:
+    """Return a command that writes a table of time, kind and value as one with a column for each kind."""
+    time, kind, value = (column.header.strip("\"'") for column in table.columns)
+    code = f"pl.read_csv(sys.argv[1]).pivot({kind!r}, index={time!r}, values={value!r}).write_csv('log.csv')"
+    return f'python -c "import polars as pl, sys; {code}" {shlex.quote(table.path)}'
+
+
+def _problems_of(
+    table: NamedTable, key: str, found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]
+) -> Iterator[str]:
     single = [key + axis for axis in AXES if key + axis in found]
     if key in found and single:
         yield f"{single[0]} is one of the three columns of {key}; name one of them"
     if any(len(found[one]) != 1 for one in single):
         yield f"{single[0]} takes one column"
     if len({rows[one] for one in single}) > 1:
-        yield f"{' and '.join(single)} are of different rows; expected the same"
+        way = ""
+        if len(table.columns) == 3:
+            way = f"; for a table with one value a row type: {_pivoted(table)}"
+        yield f"{' and '.join(single)} are of different rows; expected the same{way}"
     if key in found and len(found[key]) != 3:
         yield f"{key} names {len(found[key])} columns, expected 3; for one axis write {key}z={found[key][0]}"

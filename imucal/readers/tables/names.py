@@ -268,24 +268,35 @@ def _without_brackets(text: str) -> tuple[str, str | None, str | None, int | Non
     for match in _BRACKETS.finditer(text):
         inner = (match[1] if match[1] is not None else match[2]).strip()
         if inner.isdigit() and len(inner) == 1:
-            index = int(inner)
+            index = int(inner) if _ends_name(text, match.end()) else index
         elif inner.lower() in _AXES:
             continue
         elif is_unit(inner) or inner in {"°", "º", "Â°"}:
             unit = inner
         elif may_be_unit(inner):
             unknown_unit = inner
-    named = _BRACKETS.sub(
-        lambda match: f" {match[0][1:-1]} " if match[0][1:-1].strip().lower() in _AXES else " ", text
-    )
+
+    def kept(match: re.Match[str]) -> str:
+        inner = match[0][1:-1].strip()
+        device = inner.isdigit() and len(inner) == 1 and not _ends_name(text, match.end())
+        return f" {inner} " if device or inner.lower() in _AXES else " "
+
+    named = _BRACKETS.sub(kept, text)
     return named.strip(), unit, unknown_unit if unit is None else None, index
+
+
+def _ends_name(text: str, place: int) -> bool:
+    """Return whether no name follows; a number before a name is that of a device: IMU(1):gyro_x."""
+    return re.search(r"[^\W\d_]", _BRACKETS.sub("", text[place:])) is None
 
 
 def _take_axis(words: list[str]) -> tuple[list[str], int | None, int]:
     """Remove the axis; also return the index of the word after it."""
     for at in reversed(range(len(words))):
         if words[at] in _AXES:
-            return words[:at] + words[at + 1 :], _AXES[words[at]], at
+            # DatCon repeats the axis: accelX:X.
+            first = words.index(words[at])
+            return list(filter(words[at].__ne__, words)), _AXES[words[at]], first
     for at in reversed(range(len(words))):
         match = _GLUED.fullmatch(words[at])
         if match:

@@ -214,7 +214,9 @@ def _families(table: NamedTable, *roles: Role) -> Iterator[dict[int, NamedColumn
         for column in members:
             other = axes.setdefault((column.axis or 0) - first, column)
             if other is not column:
-                raise table.ask(f"columns {other.index} and {column.index} are both {column.header!r}")
+                names = dict.fromkeys((other.header, column.header))
+                both = " and ".join(repr(name) for name in names)
+                raise table.ask(f"columns {other.index} and {column.index} have the same name, {both}")
         yield axes
 
 
@@ -248,8 +250,8 @@ def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> lis
 
     def is_linear(triad: Triad) -> bool:
         # Phones provide linear acceleration without gravity.
-        header = triad.headers[0].lower().lstrip("\"'")
-        return triad.sensor is Sensor.ACCELEROMETER and header.startswith("lin")
+        name = triad.headers[0].lower().lstrip("\"'").rpartition(".")[2]
+        return triad.sensor is Sensor.ACCELEROMETER and name.startswith("lin")
 
     measured = {triad.sensor for triad in triads if not is_linear(triad)}
     kept = [triad for triad in triads if not is_linear(triad) or triad.sensor not in measured]

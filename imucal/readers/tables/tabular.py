@@ -18,6 +18,7 @@ from imucal.findings import Finding
 from imucal.frozen import frozen_alone
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.clocks import LOG_TIME, ClockReading, clock_from_stamps, compare_clocks, repeats
+from imucal.readers.clocks.period import LIKELY_RATES
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.files import refused
 from imucal.readers.read_options import ReadOptions
@@ -233,6 +234,10 @@ def _unclear_unit(path: str, time: TimeChoice, values: Numbers, sensor: Sensor) 
     return refused(path, text, ChoiceError)
 
 
+#: Period of the clocks of .NET, FILETIME and Windows' performance counter, in ns.
+_TICK_NS = 100
+
+
 def _open_unit(
     path: str, time: TimeChoice, values: Numbers, fits: Sequence[str], sensor: Sensor
 ) -> ChoiceError:
@@ -245,7 +250,12 @@ def _open_unit(
         if rate <= _MAX_RATE_HZ and span * TIME_UNITS_NS[unit] < _MAX_TIME_NS
     }
     likely = fits or sorted(rates, key=lambda unit: abs(np.log10(rates[unit] / 100)))[:2]
-    choices = " or ".join(f"{rates[unit]:.6g} Hz in {unit}" for unit in rates if unit in likely)
+    named_rates = [f"{rates[unit]:.6g} Hz in {unit}" for unit in rates if unit in likely]
+    tick_rate = rates.get("ns", 0.0) / _TICK_NS
+    usual = any(LIKELY_RATES[0] < rates[unit] <= LIKELY_RATES[1] for unit in rates if unit in likely)
+    if values.dtype.kind == "i" and not usual and LIKELY_RATES[0] <= tick_rate <= LIKELY_RATES[1]:
+        named_rates.insert(1, f"{tick_rate:.6g} Hz in {_TICK_NS}ns")
+    choices = " or ".join(named_rates)
     name = time.name.strip().strip("\"'")
     named = f"name it in the header, such as {name}_{likely[0]}, " if fits and not name.isdigit() else ""
     ways = f"{choices}; give the time unit, {named}or give the sampling rate"

@@ -139,7 +139,8 @@ def read_table(
         if reader.good:
             sensors += _columns(reader, part)
     if not sensors:
-        text = "the table has no rows of its sensors; expected a row per sample"
+        way = way_out(source.name, "\n".join(source.head).encode(), LOGGERS)
+        text = f"the table has no rows of its sensors; {way or 'expected a row per sample'}"
         raise refused(source.name, text, DataError)
     findings += plan.findings
     work = RecordingBuilder(

@@ -441,7 +441,9 @@ def test_two_sets_of_gyroscope_columns_are_refused(tmp_path: Path) -> None:
 def test_repeated_column_names_are_refused(tmp_path: Path) -> None:
     header = "time (s),gx,gy,gz,gx,gy,gz"
     content = lines(header, seconds(truth()), *xyz(truth().gyro), *xyz(truth().gyro))
-    assert refused(tmp_path, content).startswith("columns 1 and 4 are both 'gx'; found columns: 0 time (s),")
+    assert refused(tmp_path, content).startswith(
+        "columns 1 and 4 have the same name, 'gx'; found columns: 0 time (s),"
+    )
 
 
 def test_a_table_with_rows_of_two_sensors_is_refused(tmp_path: Path) -> None:

@@ -6,8 +6,8 @@ from imucal.readers.tables.layout import (
     BLANKS,
     TextLayout,
     _fitting,
+    _from_start,
     _named_delimiter,
-    _start,
     find_layout,
     rows_of_tag,
     split_line,
@@ -132,7 +132,7 @@ def test_rows_are_selected_by_a_tag() -> None:
 )
 def test_rows_start_where_most_lines_are_rows(fitting: list[int], lines: int, start: int) -> None:
     """Six of ten of the next eight lines must be rows, or of the remaining lines."""
-    assert _start(fitting, lines) == start
+    assert _from_start(fitting, lines)[0] == start
 
 
 @pytest.mark.parametrize(
