@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from imucal.findings import code_texts
-from imucal.units import SAMPLE_UNITS
+from imucal.units import INCREMENT_UNITS, LOG_UNITS
 from tests.benchmarks import code_tables
 from tests.code_blocks import Kept, code_blocks, fill_folder, missing_lines, renewed, run_page
 
@@ -191,7 +191,8 @@ def test_the_unit_conversions_are_right(number: str, unit: float) -> None:
 def test_units_in_the_pages_are_valid() -> None:
     """Units of --gyro-unit and --accel-unit are valid, except in rows that show an error."""
     # A calibration reads raw counts.
-    known = {unit for units in SAMPLE_UNITS.values() for unit in units} | {"count"}
+    tables = (*LOG_UNITS.values(), *INCREMENT_UNITS.values())
+    known = {unit for units in tables for unit in units} | {"count"}
     for page in PAGES:
         lines = page.read_text(encoding="utf-8").splitlines()
         right = "\n".join(line for line in lines if "| 2 |" not in line)
