@@ -255,3 +255,17 @@ def test_bins_are_read_by_groups(tmp_path: Path) -> None:
     frames = [store.bins(keys) for keys in groups]
     assert [frame["bins"].to_list() for frame in frames] == [[b"again", b"e"], [], [b"b"], [b"c", b"d"]]
     assert pl.concat(frames).sort("key").equals(store.bins())
+
+
+def test_a_folder_in_place_of_a_part_counts_as_damaged(tmp_path: Path) -> None:
+    """The next run removes it and repeats the logs of the batch."""
+    store = fleet(tmp_path, "a", "b")
+    part = next((store.folder / "results").glob("part-*.parquet"))
+    part.unlink()
+    part.mkdir()
+    (part / "file").write_text("", encoding="utf-8")
+    with pytest.raises(StoreError, match="run the fleet again"):
+        store.refuse_damage()
+    assert store.mend() == [part]
+    assert not part.exists()
+    store.refuse_damage()
