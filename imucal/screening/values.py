@@ -254,7 +254,7 @@ def check_swapped(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
         return ()
     text = (
         f"The gyroscope shows {gyro:.3g} at rest, like gravity, and the accelerometer {accel:.2g}: the two "
-        "are swapped."
+        "are swapped, or the gyroscope's columns are the direction of gravity."
     )
     advice = "Give the columns or topics of each sensor when reading."
     return (Finding("error", "swapped-sensors", text, advice),)

@@ -268,7 +268,8 @@ FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
     (biased_in_deg, "warning", "unit-suspect", "gyro",
      "The gyroscope may not be in rad/s: it shows 0.87 at rest, 50 deg/s if in rad/s."),
     (swapped, "error", "swapped-sensors", None,
-     "The gyroscope shows 9.81 at rest, like gravity, and the accelerometer 0.011: the two are swapped."),
+     ("The gyroscope shows 9.81 at rest, like gravity, and the accelerometer 0.011: the two are swapped, "
+      "or the gyroscope's columns are the direction of gravity.")),
     (copied, "error", "duplicate-axes", None,
      "gyro_x and gyro_z contain the same samples with opposite sign (correlation -1.000)."),
     (humming, "warning", "tone", "gyro_z",
@@ -279,8 +280,8 @@ FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
      "per second, about 50 of them new.")),
     (filled_in, "warning", "interpolated-samples", "gyro",
      ("5.0% of the gyroscope samples are exactly midway between their neighbours on all axes: the driver or "
-     "a converter has interpolated lost samples. N includes these samples and is about 3.8% above "
-     "the sensor's own.")),
+     "a converter has interpolated lost samples, which distorts the curve at short times: an N from these "
+     "times is up to 3.8% too large.")),
     (weightless, "warning", "no-gravity", "accel",
      "The accelerometer shows no gravity: |a| is 0.0045 m/s^2."),
 ]  # fmt: skip

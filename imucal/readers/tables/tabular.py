@@ -1,7 +1,7 @@
 """Columns of numbers -> Recording: units, stamps, clocks, temperature, and the reasons of decisions."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from hashlib import blake2b
@@ -238,6 +238,16 @@ def _unclear_unit(path: str, time: TimeChoice, values: Numbers, sensor: Sensor) 
 _TICK_NS = 100
 
 
+def _with_ticks(proposed: dict[str, float], rates: Mapping[str, float]) -> dict[str, float]:
+    """Return units and their rates, first ticks of 100 ns if only they give the usual rate of an IMU."""
+    slowest, fastest = LIKELY_RATES
+    tick_rate = rates.get("ns", 0.0) / _TICK_NS
+    usual = any(slowest < rate <= fastest for rate in proposed.values())
+    return (
+        proposed if usual or not slowest <= tick_rate <= fastest else {f"{_TICK_NS}ns": tick_rate} | proposed
+    )
+
+
 def _open_unit(
     path: str, time: TimeChoice, values: Numbers, fits: Sequence[str], sensor: Sensor
 ) -> ChoiceError:
@@ -250,12 +260,10 @@ def _open_unit(
         if rate <= _MAX_RATE_HZ and span * TIME_UNITS_NS[unit] < _MAX_TIME_NS
     }
     likely = fits or sorted(rates, key=lambda unit: abs(np.log10(rates[unit] / 100)))[:2]
-    named_rates = [f"{rates[unit]:.6g} Hz in {unit}" for unit in rates if unit in likely]
-    tick_rate = rates.get("ns", 0.0) / _TICK_NS
-    usual = any(LIKELY_RATES[0] < rates[unit] <= LIKELY_RATES[1] for unit in rates if unit in likely)
-    if values.dtype.kind == "i" and not usual and LIKELY_RATES[0] <= tick_rate <= LIKELY_RATES[1]:
-        named_rates.insert(1, f"{tick_rate:.6g} Hz in {_TICK_NS}ns")
-    choices = " or ".join(named_rates)
+    proposed = {unit: rates[unit] for unit in rates if unit in likely}
+    if values.dtype.kind == "i":
+        proposed = _with_ticks(proposed, rates)
+    choices = " or ".join(f"{rate:.6g} Hz in {unit}" for unit, rate in proposed.items())
     name = time.name.strip().strip("\"'")
     named = f"name it in the header, such as {name}_{likely[0]}, " if fits and not name.isdigit() else ""
     ways = f"{choices}; give the time unit, {named}or give the sampling rate"
