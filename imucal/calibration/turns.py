@@ -147,8 +147,8 @@ def direction_covariance(
 ) -> FloatArray:
     """Return the covariance of the unit vectors of the specific force, by rest, shape (3m, 3m).
 
-    The noise of the raw `means` moves a direction itself, and through C and b; so do misalignments that a
-    diagonal model ignores. `covariances`, shape (3, m, m), are of the means. `slopes`, shape (3, 3, 6), are
+    The noise of the raw `means` moves a direction itself, and through C and b; so do misalignments, by
+    their prior. `covariances`, shape (3, m, m), are of the means. `slopes`, shape (3, 3, 6), are
     derivatives of C in its lower triangle.
     """
     m = len(means)
@@ -160,7 +160,7 @@ def direction_covariance(
     by_parameter = (across @ by_parameter).reshape(3 * m, 9)
     gain = -fit.covariance @ np.linalg.solve(fit.residual_covariance, fit.jacobian).T
     weights = up @ fit.C
-    by_ignored = (by_parameter + by_parameter @ gain @ fit.jacobian) * fit.ignored
+    by_ignored = (by_parameter + by_parameter @ gain @ fit.jacobian) * fit.prior_deviation
     total: FloatArray = by_ignored @ by_ignored.T
     for axis in range(3):
         own = np.zeros((m, 3, m))
