@@ -20,10 +20,11 @@ from imucal.calibration.frames import FRAMES, Frame
 from imucal.calibration.gravity import Gravity, earth_rate, gravity_at
 from imucal.calibration.gyro_rest import GyroRest, estimate_gyro_rest
 from imucal.calibration.noise_source import NoiseBase, base_covariance, noise_base, white_models
-from imucal.calibration.parameters import accelerometer_parameters, gyroscope_parameters, inverse
+from imucal.calibration.parameters import accelerometer_parameters, gyroscope_parameters, inverse, is_si
 from imucal.calibration.poses import (
     RestMeans,
     Triad,
+    attitudes,
     find_rests,
     half_differences,
     moved_rests,
@@ -51,6 +52,8 @@ from imucal.report.result import Report
 
 __all__ = ["calibrate"]
 
+#: How a reader reports raw counts; other scales than 1 give SI units.
+_COUNTS = "count, 1 "
 #: Largest share of rests excluded as moved.
 _MAX_MOVED = 1 / 3
 
@@ -121,19 +124,26 @@ def calibrate(
                 lambda rests: _gyro_scale(gyroscope, rests, up),
             )
         z = np.column_stack([half_differences(s.data, s.rests, s.base.models) for s in (found, turning) if s])
-        used = ~_excluded(z)
+        moved = _excluded(z)
+        kept = moved & _irreplaceable(_first_fit(accelerometer, found.rests, place).up, moved)
+        used = ~moved | kept
+        found, turning = found.moving(kept), turning and turning.moving(kept)
         estimate = _estimate(found.keeping(used), place)
     except DataError as error:
         raise DataError(f"{where}{error}", remedy=error.remedy) from error
     axes = Frame.of(frame, _lower(estimate.theta))
     sigma = np.full(len(spans), np.nan)
     sigma[used] = np.sqrt(np.diag(estimate.fit.residual_covariance))
-    result = _accelerometer(estimate, axes, found.keeping(used), place)
+    si = _is_si(recording, Sensor.ACCELEROMETER, _lower(estimate.theta))
+    result = _accelerometer(estimate, axes, found.keeping(used), place, si=si)
     turns: tuple[Turn, ...] = ()
     trouble, rotating = "", None
     if turning is not None:
         both = found.keeping(used), turning.keeping(used)
-        rotating, turns, trouble = _gyroscope(both, estimate, place, latitude, spans[used], frame=axes)
+        rotating, turns, trouble = _gyroscope(
+            both, estimate, place, latitude, spans[used],
+            frame=axes, si=(_said_si(recording, Sensor.GYROSCOPE), si),
+        )  # fmt: skip
     found_all = Calibration(
         source=replace(recording.source, read=recording.source.read or ReadRange.of(recording.series)),
         gravity=place,
@@ -146,7 +156,18 @@ def calibrate(
         findings=recording.findings,
         frame=frame,
     )
-    facts = Facts(found=found_all, in_hand=in_hand, z=z, estimate=estimate, trouble=trouble)
+    final_rate, gyro_noise = _final_rates(turning)
+    facts = Facts(
+        found=found_all,
+        in_hand=in_hand,
+        z=z,
+        estimate=estimate,
+        trouble=trouble,
+        rate_hz=recording.series[0].rate_hz,
+        stamped=recording.series[0].clock.start_ns is not None,
+        final_rate=final_rate,
+        gyro_noise=gyro_noise,
+    )
     return replace(found_all, findings=(*recording.findings, *findings_of(facts)))
 
 
@@ -157,6 +178,7 @@ class _Sensor:
     data: Triad
     rests: RestMeans
     base: NoiseBase
+    movement: FloatArray
 
     @classmethod
     def of(
@@ -167,19 +189,58 @@ class _Sensor:
         scale: Callable[[RestMeans], FloatArray],
     ) -> "_Sensor":
         rests = RestMeans.of(data, spans_s)
-        return cls(data=data, rests=rests, base=noise_base(noise, data, rests, scale))
+        base = noise_base(noise, data, rests, scale)
+        return cls(data=data, rests=rests, base=base, movement=np.zeros_like(rests.means))
 
     def keeping(self, keep: BoolArray) -> "_Sensor":
         rests = replace(self.rests, spans=self.rests.spans[keep], means=self.rests.means[keep])
-        return replace(self, rests=rests)
+        return replace(self, rests=rests, movement=self.movement[keep])
+
+    def moving(self, moved: BoolArray) -> "_Sensor":
+        """Return the sensor with the movement in the rests `moved`: the mean may be off by as much."""
+        movement = self.movement.copy()
+        for k in np.flatnonzero(moved):
+            first, end = self.rests.spans[k]
+            middle = (first + end) // 2
+            halves = self.data.samples[first:middle].mean(axis=0), self.data.samples[middle:end].mean(axis=0)
+            movement[k] = np.abs(halves[1] - halves[0])
+        return replace(self, movement=movement)
 
     @property
     def covariance(self) -> FloatArray:
-        return base_covariance(self.base.models, self.data, self.rests)
+        noise = base_covariance(self.base.models, self.data, self.rests)
+        return np.asarray(noise + np.array([np.diag(size**2) for size in self.movement.T]))
 
     @property
     def walk(self) -> FloatArray:
         return walk_covariance(self.rests.spans, rate_hz=self.data.rate_hz, samples=len(self.data.samples))
+
+
+def _final_rates(sensor: _Sensor | None) -> tuple[FloatArray, FloatArray]:
+    """Return the median size of the mean rate in the last quarter of a rest, and its deviation, shape (3,).
+
+    The deviation is that of white noise; it is 0 if the samples of most rests do not change at all.
+    """
+    if sensor is None:
+        return np.ones(3), np.ones(3)
+    quarters = [
+        sensor.data.samples[first + 3 * (end - first) // 4 : end] for first, end in sensor.rests.spans
+    ]
+    constant = np.median([np.ptp(part, axis=0) for part in quarters], axis=0) == 0
+    length = float(np.median([len(part) for part in quarters]))
+    noise = np.where(constant, 0.0, sensor.rests.deviations / np.sqrt(length))
+    return np.median(np.abs([part.mean(axis=0) for part in quarters]), axis=0), noise
+
+
+def _is_si(recording: Recording, sensor: Sensor, C: FloatArray) -> bool:
+    said = _said_si(recording, sensor)
+    return is_si(inverse(C)) if said is None else said
+
+
+def _said_si(recording: Recording, sensor: Sensor) -> bool | None:
+    """Return whether samples are in SI units, as decided when they were read; None without a reader."""
+    unit = dict(recording.source.decisions).get(f"{sensor} unit")
+    return None if unit is None else not unit.startswith(_COUNTS)
 
 
 def _first_fit(data: Triad, rests: RestMeans, place: Gravity) -> AccelerometerFit:
@@ -216,6 +277,18 @@ def _excluded(z: FloatArray) -> BoolArray:
     return moved
 
 
+def _irreplaceable(up: FloatArray, moved: BoolArray) -> BoolArray:
+    """Return which rests have an attitude, of unit vectors (m, 3), that the others need.
+
+    None has if the rests that did not move have nine attitudes, which determine all parameters.
+    """
+    still = up[~moved]
+    if len(still) and attitudes(still) >= len(PARAMETERS):
+        return np.zeros_like(moved)
+    repeated = [attitudes(np.vstack([still, one])) == attitudes(still) for one in up]
+    return np.asarray(~np.array(repeated, dtype=np.bool_))
+
+
 def _estimate(sensor: _Sensor, place: Gravity) -> AccelerometerEstimate:
     if len(sensor.rests.means) < MIN_RESTS:
         raise DataError(f"only {len(sensor.rests.means)} rests did not move; {ADVICE}")
@@ -236,7 +309,7 @@ def _lower(theta: FloatArray) -> FloatArray:
 
 
 def _accelerometer(
-    estimate: AccelerometerEstimate, frame: Frame, sensor: _Sensor, place: Gravity
+    estimate: AccelerometerEstimate, frame: Frame, sensor: _Sensor, place: Gravity, *, si: bool
 ) -> AccelerometerResult:
     to_frame = np.eye(9)
     to_frame[:6, :6] = [frame.derivatives[entry] for entry in frame.entries]
@@ -251,7 +324,8 @@ def _accelerometer(
         C=frame.R @ _lower(estimate.theta),
         b=estimate.theta[6:],
         covariance=to_frame @ estimate.covariance @ to_frame.T,
-        parameters=accelerometer_parameters(estimate, frame),
+        parameters=accelerometer_parameters(estimate, frame, si=si),
+        si=si,
         diagonal_C=diagonal.C,
         diagonal_b=diagonal.b,
         model=estimate.fit.model,
@@ -278,8 +352,12 @@ def _gyroscope(
     spans_s: FloatArray,
     *,
     frame: Frame,
+    si: tuple[bool | None, bool],
 ) -> tuple[GyroscopeResult, tuple[Turn, ...], str]:
-    """Return the gyroscope, its turns, and why they could not be explained."""
+    """Return the gyroscope, its turns, and why they could not be explained.
+
+    `si` is whether the gyroscope was said to be in rad/s, and whether the accelerometer is in m/s².
+    """
     found, turning = sensors
     data, rests, fit = turning.data, turning.rests, estimate.fit
     at_rest = fit.f @ frame.R.T
@@ -306,6 +384,7 @@ def _gyroscope(
         gravity=place.value,
         checked=turning.base.checked,
         headings=headings,
+        scale_known=start is not None or si[0] is not False,
     )
     turns = None
     if start is not None:
@@ -328,22 +407,26 @@ def _gyroscope(
         directions = direction_covariance(*accelerometer)
         turns = fit_turns(arrays, noise, directions)
         turns = turns.turned(frame, direction_covariance(*accelerometer, frame.slopes) - directions)
-    return _gyroscope_result(rest, turns), _turns(spans_s, fit.up, reasons, which, turns), trouble
+    said, as_accelerometer = si
+    if said is None:
+        said = as_accelerometer if turns is None else is_si(inverse(turns.C))
+    return _gyroscope_result(rest, turns, si=said), _turns(spans_s, fit.up, reasons, which, turns), trouble
 
 
-def _gyroscope_result(rest: GyroRest, turns: TurnsFit | None) -> GyroscopeResult:
+def _gyroscope_result(rest: GyroRest, turns: TurnsFit | None, *, si: bool) -> GyroscopeResult:
     C = np.eye(3) if turns is None else turns.C
     return GyroscopeResult(
         C=C,
         b=rest.b,
         G=rest.G,
         covariance_C=turns.covariance if turns else np.zeros((9, 9)),
-        parameters=gyroscope_parameters(rest, turns),
+        parameters=gyroscope_parameters(rest, turns, si=si),
         chi2=turns.chi2 if turns else np.nan,
         dof=turns.dof if turns else 0,
         p=turns.p_fit if turns else np.nan,
         widening=turns.widening if turns else 1.0,
         scaled=turns is not None,
+        si=si,
         rest=rest,
     )
 

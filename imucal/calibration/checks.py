@@ -13,7 +13,7 @@ from imucal.calibration.slow_noise import AccelerometerEstimate
 from imucal.findings import Finding, Level
 from imucal.frozen import frozen_alone
 
-__all__ = ["Facts", "findings_of"]
+__all__ = ["Facts", "findings_of", "worse_than_before"]
 
 #: P-value of chi² below which the base does not explain the residuals.
 _UNEXPLAINED = 0.01
@@ -25,6 +25,18 @@ _WARMING_K, _WALK_SHARE = 2.0, 0.5
 _EARTH_SHARE = 1 / 3
 #: Factor from which a noise report belongs to another sensor or unit.
 _OTHER_NOISE = 3.0
+#: Ratio of the residuals to the noise from which `beyond-noise` is a warning without a noise report too.
+#: White noise within the rests does not contain flicker noise, which reaches a ratio of 2 in good logs.
+_FAR_BEYOND = 3.0
+#: Common scale error of a gyroscope that suggests a wrong sampling rate: datasheets give 1 to 3 %.
+_RATE_ERROR = 0.03
+#: Largest spread of the three scales relative to their common error.
+_RATE_SPREAD = 0.5
+#: Largest mean rate at rest of firmware that subtracts it, in deviations of its white noise.
+_ZEROED = 4.0
+#: Factor by which an error after the calibration must exceed the one before to be more than rounding.
+_WORSE = 1.02
+_RECORD_AGAIN = "Do not use this calibration. Record again: each face and six edges, 5 s each."
 #: Most times listed.
 _LISTED = 4
 
@@ -34,7 +46,9 @@ class Facts:
     """Facts from which the findings follow, with the calibration.
 
     `z` are the differences of the halves of all rests in deviations, shape (m, 3) or (m, 6); `trouble` is why
-    the turns are not explained.
+    the turns are not explained. `rate_hz` is of the gyroscope, `stamped` whether the log has time stamps.
+    `final_rate`, shape (3,), is the median size of the mean rate in the last quarter of a rest, and
+    `gyro_noise` its deviation by white noise; 0 on an axis whose samples at rest do not change.
     """
 
     found: Calibration
@@ -42,6 +56,10 @@ class Facts:
     z: FloatArray
     estimate: AccelerometerEstimate
     trouble: str
+    rate_hz: float
+    stamped: bool
+    final_rate: FloatArray
+    gyro_noise: FloatArray
 
     @property
     def starts_s(self) -> FloatArray:
@@ -55,9 +73,41 @@ class Facts:
 def findings_of(facts: Facts) -> tuple[Finding, ...]:
     """Return the findings, errors first."""
     every = (_rests, _noise, _warming, _place, _observability, _turns)
-    found = [finding for check in every for finding in check(facts)]
+    found = [*worse_than_before(facts.found), *(finding for check in every for finding in check(facts))]
     order = ("error", "warning", "info")
     return tuple(sorted(found, key=lambda finding: order.index(finding.level)))
+
+
+def worse_than_before(found: Calibration) -> Iterator[Finding]:
+    """Yield an error if gravity at the rests, or the turns, fit worse than without a calibration."""
+    used = [rest for rest in found.rests if rest.used]
+    before, after = _rms(rest.before for rest in used), _rms(rest.residual for rest in used)
+    noise = _rms(rest.sigma or 0.0 for rest in used)
+    if found.accelerometer.si and after > max(_WORSE * before, noise):
+        text = (
+            "The calibration makes the accelerometer worse: |f| at rest differs from gravity by "
+            f"{1e3 * before:.3g} mm/s² rms before and {1e3 * after:.3g} after."
+        )
+        yield Finding("error", "worse-than-before", text, _RECORD_AGAIN, axis="accel")
+    if found.gyroscope is not None and found.gyroscope.si:
+        yield from _worse_turns(found)
+
+
+def _worse_turns(found: Calibration) -> Iterator[Finding]:
+    turns = [turn for turn in found.turns if turn.used]
+    before = _rms(math.hypot(*(turn.before_deg or ())) for turn in turns)
+    after = _rms(math.hypot(*(turn.residual_deg or ())) for turn in turns)
+    if after > _WORSE * before:
+        text = (
+            f"The calibration makes the gyroscope worse: the turns are wrong by {before:.2g}° rms before "
+            f"and {after:.2g}° after."
+        )
+        yield Finding("error", "worse-than-before", text, _RECORD_AGAIN, axis="gyro")
+
+
+def _rms(values: Iterable[float]) -> float:
+    squares = [value**2 for value in values]
+    return math.sqrt(sum(squares) / len(squares)) if squares else 0.0
 
 
 def _rests(facts: Facts) -> Iterator[Finding]:
@@ -70,6 +120,13 @@ def _rests(facts: Facts) -> Iterator[Finding]:
         )
         if more := int(moved_rests(facts.z).sum()) - moved.size:
             text += f" {_count(more, 'more rest')} also moved but {'is' if more == 1 else 'are'} used."
+        yield Finding("warning", "rest-moved", text, "Put the IMU on a firm surface and let go of it.")
+    elif kept := int(moved_rests(facts.z).sum()):
+        moved = np.flatnonzero(moved_rests(facts.z))
+        text = (
+            f"{_count(kept, 'rest')} moved, at {_times(facts.starts_s[moved])}. No other rest has the same "
+            "attitude, so it is used, and its movement widens the intervals."
+        )
         yield Finding("warning", "rest-moved", text, "Put the IMU on a firm surface and let go of it.")
     if facts.in_hand:
         text = "Rates up to 0.03 rad/s count as rest, so the intervals include hand tremor."
@@ -98,11 +155,12 @@ def _noise(facts: Facts) -> Iterator[Finding]:
             advice = "Check that the noise report is for the same sensor, range and unit."
             yield Finding("warning", "noise-differs", text, advice, axis=sensor)
     found = facts.estimate
+    level: Level
     if math.isnan(found.p):
         m, p = found.fit.jacobian.shape[0], int(found.fit.free.sum())
         text = f"{m} rests for {p} parameters leave no residuals to check the result."
         # Without a report the intervals are wide enough for any slow noise.
-        level: Level = "info"
+        level = "info"
         if any(base.checked for base in facts.found.noise.values()):
             level = "warning"
             text += " If the noise report does not fit this log, the intervals are too narrow."
@@ -118,7 +176,8 @@ def _noise(facts: Facts) -> Iterator[Finding]:
         # Expected without a noise report, and the intervals include it.
         checked = any(base.checked for base in facts.found.noise.values())
         advice = "Repeat the rests that differ most."
-        yield Finding("warning" if checked else "info", "beyond-noise", text, advice, axis="accel")
+        level = "warning" if checked or times > _FAR_BEYOND else "info"
+        yield Finding(level, "beyond-noise", text, advice, axis="accel")
 
 
 def _warming(facts: Facts) -> Iterator[Finding]:
@@ -164,10 +223,10 @@ def _observability(facts: Facts) -> Iterator[Finding]:
             text = f"The accelerometer's {_names(names)} {_are(names)} {finding.text}."
             advice = f"Add a rest with {add.text}: it reduces the largest uncertainty by {share}."
             yield replace(finding, text=text, advice=advice, axis="accel")
-        every = gyroscope.parameters if gyroscope is not None else {}
+        every = gyroscope.parameters if gyroscope is not None and not facts.trouble else {}
         own = [name for name, parameter in every.items() if parameter.status == status]
         turned = [name for name in own if name.startswith(("scale", "misalignment"))]
-        if turned and not facts.trouble:
+        if turned:
             turns = [
                 f"about {axis} (start with {_others(axis)} down)" for axis in sorted({n[-1] for n in turned})
             ]
@@ -202,6 +261,8 @@ def _turns(facts: Facts) -> Iterator[Finding]:
         text = f"{facts.trouble[0].upper()}{facts.trouble[1:]}."
         advice = "Calibrate without the gyroscope, or read both sensors with the same axes."
         yield Finding("error", "turns-unexplained", text, advice, axis="gyro")
+    yield from _rate(facts)
+    yield from _zeroed(facts)
     for why, finding in _TURNS.items():
         own = [turn for turn in facts.found.turns if turn.why == why]
         if own:
@@ -210,6 +271,39 @@ def _turns(facts: Facts) -> Iterator[Finding]:
             starts = _times(turn.start_s for turn in own)
             text = f"Turns at {starts} are not used: they {finding.text}{by}."
             yield replace(finding, text=text, axis="gyro")
+
+
+def _rate(facts: Facts) -> Iterator[Finding]:
+    """Yield a warning if the three scales of a gyroscope without stamps are wrong by the same factor."""
+    gyro = facts.found.gyroscope
+    if gyro is None or not gyro.si or not gyro.scaled or facts.stamped:
+        return
+    scales = np.diag(gyro.M)
+    common = float(scales.mean())
+    if abs(common - 1) > _RATE_ERROR and np.ptp(scales) < _RATE_SPREAD * abs(common - 1):
+        rate_hz = facts.rate_hz * common
+        text = (
+            f"All three scales of the gyroscope are wrong by {100 * (common - 1):+.1f} %. The log has no "
+            f"time stamps, and a rate of {rate_hz:.4g} Hz instead of {facts.rate_hz:.4g} explains it."
+        )
+        yield Finding("warning", "rate-suspect", text, f"Check the rate: --rate {rate_hz:.4g}.", axis="gyro")
+
+
+def _zeroed(facts: Facts) -> Iterator[Finding]:
+    """Yield a warning if the rates at rest are 0: firmware subtracts their mean, or they are cut off."""
+    if facts.found.gyroscope is None:
+        return
+    if not facts.gyro_noise.all():
+        text = "The rates at rest are exactly 0 on some axis: the gyroscope has a dead band."
+        advice = "Switch the dead band off, or use the raw output; it hides the bias and slow turns."
+        yield Finding("warning", "dead-band", text, advice, axis="gyro")
+    elif np.all(facts.final_rate < _ZEROED * facts.gyro_noise):
+        text = (
+            "The mean rate at rest is 0 on all axes: firmware subtracts it while the IMU is at rest. The "
+            "bias is that of the remaining rates."
+        )
+        advice = "Switch the automatic zeroing off, or use the raw output."
+        yield Finding("warning", "zeroed", text, advice, axis="gyro")
 
 
 def _count(number: int, noun: str) -> str:

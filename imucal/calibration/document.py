@@ -86,6 +86,7 @@ class Intrinsics(ReadOnlyArrays):
     """The part of a calibration that other programs need: f = C_a (raw - b_a), w = C_g (raw - b_g - G f).
 
     `diagonal_C` and `diagonal_b` are the best fit without misalignment. C_g is None if no turn could be used.
+    `said_si` is whether both sensors are in SI units; None to judge by the matrices.
     `means`, shape (m, 3), are raw means of the used rests. `weak` are parameters that the log does not
     determine, or only weakly. `warnings` are codes of warnings and errors.
     """
@@ -103,6 +104,7 @@ class Intrinsics(ReadOnlyArrays):
     G: FloatArray | None
     gravity: float
     means: FloatArray
+    said_si: bool | None = None
     weak: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -125,6 +127,8 @@ class Intrinsics(ReadOnlyArrays):
     @property
     def si(self) -> bool:
         """Whether the raw samples are in m/s² and rad/s, and not counts."""
+        if self.said_si is not None:
+            return self.said_si
         return all(is_si(inverse(C)) for C in (self.C_a, self.C_g) if C is not None)
 
 
@@ -172,6 +176,7 @@ def _intrinsics(root: Node) -> Intrinsics:
         G=G,
         gravity=root["gravity"]["value"].number(),
         means=np.array([rest["mean_accel"].array(like=3) for rest in root["rests"] if rest["used"].value]),
+        said_si=all(node["parameters"]["bias_x"]["unit"].text() != "raw" for node in sensors.values()),
         weak=tuple(weak),
         warnings=tuple(
             dict.fromkeys(f["code"].text() for f in root["findings"] if f["level"].text() != "info")

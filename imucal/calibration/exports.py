@@ -146,10 +146,17 @@ def _comment(target: CalibrationTarget, found: Intrinsics) -> Iterator[str]:
         size = np.linalg.norm(found.C_g - np.eye(3), 2) if found.si else np.nan
         yield f"format has no gyroscope scale and misalignment: error up to {100 * size:.2g} % of the rate"
     if found.G is not None and found.G.any() and "G" not in target.uses:
-        size = float(np.linalg.norm(found.G, 2)) * found.gravity
-        unit = "rad/s" if found.si else "counts"
-        yield f"format has no g-sensitivity: error up to {size:.2g} {unit} at 1 g"
+        yield from _ignored_sensitivity(found, found.G)
     yield "biases are averages over this log; they differ after the next start"
+
+
+def _ignored_sensitivity(found: Intrinsics, G: FloatArray) -> Iterator[str]:
+    size = float(np.linalg.norm(G, 2)) * found.gravity
+    unit = "rad/s" if found.si else "counts"
+    yield f"format has no g-sensitivity: error up to {size:.2g} {unit} at 1 g"
+    bias = np.zeros(3) if found.b_g is None else found.b_g
+    level = bias + G @ [0.0, 0.0, found.gravity]
+    yield f"gyroscope bias of a vehicle that starts level, b_g + G [0 0 g]: {_list(level)} {unit}"
 
 
 def _ignored(found: Intrinsics) -> float:

@@ -37,7 +37,7 @@ _FACES = np.array([[0, 0, 1], [1, 0, 0], [0, 0, -1], [0, 1, 0], [-1, 0, 0], [0, 
 class ImuErrors(ReadOnlyArrays):
     """Known errors: raw_a = M_a f + b_a, raw_g = M_g w + b_g + G f, in SI.
 
-    The biases include noise.
+    The biases include the mean of slow noise over the log.
     """
 
     M_a: FloatArray
@@ -89,14 +89,12 @@ def simulate_rests(
     M_a = np.eye(3) + np.diag(rng.normal(0, _SCALE, 3)) + np.tril(rng.normal(0, _MISALIGNED, (3, 3)), -1)
     M_g = np.eye(3) + rng.normal(0, _SCALE, (3, 3))
     G = rng.normal(0, _G, (3, 3))
-    e_g, e_a = (
-        np.column_stack([model.simulate(n, rate_hz=rate_hz, rng=rng) for _ in AXES]) for model in models
-    )
-    e_g += rng.normal(0, _BIAS_G, 3)
-    e_a += rng.normal(0, _BIAS_A, 3)
+    (e_g, drift_g), (e_a, drift_a) = (_drawn_noise(model, n, rate_hz, rng) for model in models)
+    b_g = rng.normal(0, _BIAS_G, 3)
+    b_a = rng.normal(0, _BIAS_A, 3)
     raw = {
-        Sensor.GYROSCOPE: motion.w @ M_g.T + motion.f @ G.T + e_g,
-        Sensor.ACCELEROMETER: motion.f @ M_a.T + e_a,
+        Sensor.GYROSCOPE: motion.w @ M_g.T + motion.f @ G.T + b_g + e_g,
+        Sensor.ACCELEROMETER: motion.f @ M_a.T + b_a + e_a,
     }
     clock = Clock.even(n, rate_hz, source="simulated")
     series = tuple(
@@ -104,7 +102,7 @@ def simulate_rests(
         for (sensor, samples), step in zip(raw.items(), lsb, strict=True)
         for k, axis in enumerate(AXES)
     )
-    errors = ImuErrors(M_a=M_a, b_a=e_a.mean(axis=0), M_g=M_g, b_g=e_g.mean(axis=0), G=G)
+    errors = ImuErrors(M_a=M_a, b_a=b_a + drift_a, M_g=M_g, b_g=b_g + drift_g, G=G)
     return Recording(source=Source(path="simulated", format="simulated"), series=series), errors
 
 
@@ -168,6 +166,18 @@ def plan_rests(
         accelerometer=accelerometer_parameters(estimate, frame),
         gyroscope=gyroscope,
     )
+
+
+def _drawn_noise(
+    model: NoiseModel, n: int, rate_hz: float, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Return noise of three axes, shape (n, 3), and the mean of all but its white noise, shape (3,)."""
+    white, slow = np.zeros((n, 3)), np.zeros((n, 3))
+    for axis in range(3):
+        for term in model.terms:
+            part = white if term.symbol == "N" else slow
+            part[:, axis] += NoiseModel(terms=(term,)).simulate(n, rate_hz=rate_hz, rng=rng)
+    return white + slow, slow.mean(axis=0)
 
 
 def _ideal(count: int) -> FloatArray:

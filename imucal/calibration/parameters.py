@@ -46,16 +46,21 @@ def is_si(M: FloatArray) -> bool:
     return bool(np.all((scales < _SI) & (scales > 1 / _SI)))
 
 
-def accelerometer_parameters(found: AccelerometerEstimate, frame: Frame) -> Mapping[str, Parameter]:
-    """Return the nine parameters of an accelerometer by the names of the frame."""
+def accelerometer_parameters(
+    found: AccelerometerEstimate, frame: Frame, *, si: bool = True
+) -> Mapping[str, Parameter]:
+    """Return the nine parameters of an accelerometer by the names of the frame.
+
+    `si` is whether its samples are in m/s².
+    """
     C = np.zeros((3, 3))
     C[LOWER] = found.theta[:6]
-    values, rows, units = _seen(inverse(frame.R @ C), frame.entries, "m/s^2")
+    values, rows, units = _seen(inverse(frame.R @ C), frame.entries, "m/s^2", si=si)
     full = np.zeros((9, 9))
     full[:6, :6] = rows @ frame.derivatives.reshape(9, 6)
     full[6:, 6:] = np.eye(3)
     values = np.concatenate([values, found.theta[6:]])
-    units += ["m/s^2" if "%" in units else "raw"] * 3
+    units += ["m/s^2" if si else "raw"] * 3
     intervals = values[:, None] + found.mixture.interval(full[:, found.fit.free])
     return {
         name: _parameter(value, interval, unit, status)
@@ -65,24 +70,25 @@ def accelerometer_parameters(found: AccelerometerEstimate, frame: Frame) -> Mapp
     }
 
 
-def gyroscope_parameters(rest: GyroRest, turns: TurnsFit | None) -> Mapping[str, Parameter]:
+def gyroscope_parameters(
+    rest: GyroRest, turns: TurnsFit | None, *, si: bool = True
+) -> Mapping[str, Parameter]:
     """Return scale_x …, misalignment_xy …, bias_x … and g_sensitivity_xx … of a gyroscope.
 
-    Without turns the first nine are not observable.
+    Without turns the first nine are not observable. `si` is whether its samples are in rad/s.
     """
     names = [f"scale_{'xyz'[i]}" if i == j else f"misalignment_{'xyz'[i]}{'xyz'[j]}" for i, j in _NINE]
     statuses: tuple[Status, ...] = ("not-observable",) * 9
     values, halves, units = np.zeros(9), np.zeros(9), ["%" if i == j else "deg" for i, j in _NINE]
     if turns is not None:
         statuses = turns.statuses
-        values, rows, units = _seen(inverse(turns.C), _NINE, "rad/s")
+        values, rows, units = _seen(inverse(turns.C), _NINE, "rad/s", si=si)
         halves = turns.quantile * np.sqrt(np.einsum("ij,jk,ik->i", rows, turns.covariance, rows))
     intervals = values[:, None] + halves[:, None] * np.array([-1.0, 1.0])
     found = {
         name: _parameter(value, interval, unit, status)
         for name, value, interval, unit, status in zip(names, values, intervals, units, statuses, strict=True)
     }
-    si = "%" in units
     for axis, value, interval in zip("xyz", rest.b, rest.b_interval, strict=True):
         found[f"bias_{axis}"] = _parameter(value, interval, "rad/s" if si else "raw", "estimated")
     status = "estimated" if rest.significant else "not-significant"
@@ -96,10 +102,9 @@ def gyroscope_parameters(rest: GyroRest, turns: TurnsFit | None) -> Mapping[str,
 
 
 def _seen(
-    M: FloatArray, entries: list[tuple[int, int]], unit: str
+    M: FloatArray, entries: list[tuple[int, int]], unit: str, *, si: bool
 ) -> tuple[FloatArray, FloatArray, list[str]]:
     """Return scale errors in % and misalignments M_ij / M_ii in deg, derivatives in C by rows, and units."""
-    si = is_si(M)
     values, rows, units = [], [], []
     # dM = -M dC M
     slopes = -np.einsum("ik,lj->ijkl", M, M)

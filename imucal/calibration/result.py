@@ -51,7 +51,8 @@ class AccelerometerResult(ReadOnlyArrays):
     """f = C (raw - b), raw = M f + b.
 
     `covariance`, shape (9, 9), is of the lower triangle of C by rows, then b; of the upper triangle by
-    columns in the frame ``imu-tk``. `diagonal_C` and `diagonal_b` are the best fit without misalignment.
+    columns in the frame ``imu-tk``. `diagonal_C` and `diagonal_b` are the best fit without misalignment. `si`
+    is whether the samples are in m/s².
     """
 
     C: FloatArray
@@ -61,6 +62,7 @@ class AccelerometerResult(ReadOnlyArrays):
     diagonal_C: FloatArray
     diagonal_b: FloatArray
     model: Model
+    si: bool
     excess: Excess
     chi2: float
     dof: int
@@ -78,7 +80,8 @@ class GyroscopeResult(ReadOnlyArrays):
     """w = C (raw - b - G f), raw = M w + b + G f.
 
     `covariance_C` is the covariance of C by rows, shape (9, 9). `G` is 0 unless it is significant. If no turn
-    could be used, `scaled` is false, C and M are the identity and the covariance is 0.
+    could be used, `scaled` is false, C and M are the identity and the covariance is 0. `si` is whether the
+    samples are in rad/s.
     """
 
     C: FloatArray
@@ -91,6 +94,7 @@ class GyroscopeResult(ReadOnlyArrays):
     p: float
     widening: float
     scaled: bool
+    si: bool
     rest: GyroRest
 
     @property

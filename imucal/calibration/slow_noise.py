@@ -14,10 +14,9 @@ from functools import partial
 import numpy as np
 from scipy.special import chdtrc, ndtr
 
-from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
+from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from imucal.calibration.accelerometer import (
     AccelerometerFit,
-    Model,
     derivatives,
     fit_accelerometer,
     residual_covariance,
@@ -195,7 +194,7 @@ def estimate_accelerometer(
     gravity: float,
     gravity_sigma: float = 0.0,
     checked: bool,
-    model: Model | None = None,
+    free: BoolArray | None = None,
 ) -> AccelerometerEstimate:
     """Fit the accelerometer and, if the base does not explain the residuals, the slow noise.
 
@@ -204,7 +203,7 @@ def estimate_accelerometer(
     determine bias and scale raise a DataError.
     """
     fit_with = partial(fit_accelerometer, means, gravity=gravity, gravity_sigma=gravity_sigma)
-    fit = first = fit_with(base, model=model)
+    fit = first = fit_with(base, free=free)
     p = float(chdtrc(first.dof, first.chi2)) if first.dof > 0 else math.nan
     free, covariances = first.free, base
     mixture = Mixture.single(first.theta[free], first.covariance[np.ix_(free, free)])
@@ -217,12 +216,23 @@ def estimate_accelerometer(
             own = residual_covariance(weights, covariances)
             other = fit.residual_covariance - own
             walks = weights @ weights.T * walk
-            parts = residual_covariance(weights, base) + other, np.diag((weights**2).sum(axis=1)), walks
-            mixture, excess, likely = mix(fit.residual, J[:, free], fit.theta[free], parts, spread)
+            prior, prior_slopes = fit.prior()
+            parts = (
+                _with_prior(residual_covariance(weights, base) + other, np.eye(prior.size)),
+                _with_prior(np.diag((weights**2).sum(axis=1)), np.zeros((prior.size, prior.size))),
+                _with_prior(walks, np.zeros((prior.size, prior.size))),
+            )
+            mixture, excess, likely = mix(
+                np.concatenate([fit.residual, prior]),
+                np.vstack([J, prior_slopes])[:, free],
+                fit.theta[free],
+                parts,
+                spread,
+            )
             covariances = base + likely.tau**2 * np.eye(len(means)) + likely.kappa**2 * walk
-            start = (fit.C, fit.b) if first.model == "full" else None
-            fit = fit_with(covariances, model="diagonal" if start is None else None, start=start)
-            if fit.model != first.model:
+            fit = fit_with(covariances, free=free, start=(fit.C, fit.b))
+            # With more noise fewer misalignments are observable.
+            if np.any(fit.free != free):
                 return estimate_accelerometer(
                     means,
                     base,
@@ -230,7 +240,7 @@ def estimate_accelerometer(
                     gravity=gravity,
                     gravity_sigma=gravity_sigma,
                     checked=checked,
-                    model="diagonal",
+                    free=fit.free,
                 )
     total = base + excess.tau**2 * np.eye(len(means)) + excess.kappa**2 * walk
     return AccelerometerEstimate(
@@ -247,6 +257,14 @@ def estimate_accelerometer(
 def _between(covariance: FloatArray) -> float:
     m = len(covariance)
     return math.sqrt(max(float(np.trace(covariance) - covariance.sum() / m) / max(m - 1, 1), 0.0))
+
+
+def _with_prior(residuals: FloatArray, prior: FloatArray) -> FloatArray:
+    m, k = len(residuals), len(prior)
+    together = np.zeros((m + k, m + k))
+    together[:m, :m] = residuals
+    together[m:, m:] = prior
+    return together
 
 
 def _excess(tau: float, kappa: float, spread: Spread) -> Excess:

@@ -8,6 +8,7 @@ noise, the two bias estimates, and the error of both directions.
 import math
 from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -16,6 +17,7 @@ from scipy.special import chdtrc, stdtrit
 from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from imucal.calibration.accelerometer import AccelerometerFit, Status, observability
 from imucal.calibration.frames import LOWER_SLOPES, Frame
+from imucal.calibration.gyro_prior import GyroPrior
 from imucal.calibration.mean_covariance import mean_covariance
 from imucal.calibration.turn_data import Headings, TurnData, rotations, start_of
 from imucal.frozen import frozen_alone
@@ -102,26 +104,20 @@ def fit_turns(data: TurnData, noise: GyroNoise, directions: FloatArray) -> Turns
     A DataError is raised if no scale or orientation of the gyroscope explains the turns.
     """
     start = start_of(data)
-    used = np.ones(len(data.rests), dtype=np.bool_)
-    p = np.ones(used.size)
-    C = start
+    prior = GyroPrior.of(start)
     while True:
-        part = data.keeping(used)
-        C, carried, S = _gauss_newton(part, noise, directions, C)
-        Jw, rw, size = _whitened(carried, S)
-        inner = (Jw / size).T @ (Jw / size)
-        covariance = np.linalg.pinv(inner, rcond=1e-10) / np.outer(size, size)
-        judged = _studentised(carried, S, covariance)
-        p[used] = chdtrc(2, judged)
-        worst = int(np.flatnonzero(used)[np.argmax(judged)])
-        if p[worst] >= _WRONG or np.sum(~used) + 1 > _MAX_WRONG_SHARE * used.size:
+        fit = _without_wrong_turns(data, noise, directions, start, prior)
+        following = prior.after(fit.C, fit.covariance)
+        if following is prior:
             break
-        used[worst] = False
+        prior = following
+    C, carried, S, covariance, p, used = fit
+    part = data.keeping(used)
+    rw = solve_triangular(np.linalg.cholesky(S), carried.residual.ravel(), lower=True)
     by_directions = -covariance @ np.linalg.solve(S, carried.J).T @ _by_directions(part, carried)
     everything = _carry(data, C)
-    seen = observability(carried.J * np.repeat(np.diag(C), 3), S, np.ones(9, dtype=np.bool_))
-    rank = 9 - seen.count("not-observable")
-    chi2, dof = float(rw @ rw), len(rw) - rank
+    statuses = _statuses(carried.J * np.repeat(np.diag(C), 3), S, prior)
+    chi2, dof = float(rw @ rw), len(rw) - int((prior.free & ~prior.with_prior).sum())
     p_fit = float(chdtrc(dof, chi2)) if dof > 0 else math.nan
     misfit = p_fit < _MISFIT
     widening = math.sqrt(chi2 / dof) if misfit else 1.0
@@ -138,8 +134,50 @@ def fit_turns(data: TurnData, noise: GyroNoise, directions: FloatArray) -> Turns
         dof=dof,
         p_fit=p_fit,
         widening=widening,
-        statuses=seen,
+        statuses=statuses,
     )
+
+
+class _Fit(NamedTuple):
+    """C, its derivatives and covariances, and which turns were used."""
+
+    C: FloatArray
+    carried: _Carried
+    S: FloatArray
+    covariance: FloatArray
+    p: FloatArray
+    used: BoolArray
+
+
+def _without_wrong_turns(
+    data: TurnData, noise: GyroNoise, directions: FloatArray, start: FloatArray, prior: GyroPrior
+) -> _Fit:
+    used = np.ones(len(data.rests), dtype=np.bool_)
+    p = np.ones(used.size)
+    C = start
+    while True:
+        part = data.keeping(used)
+        C, carried, S = _gauss_newton(part, noise, directions, C, prior)
+        Jw, _, size = _whitened(C, carried, S, prior)
+        inner = (Jw / size).T @ (Jw / size)
+        of_basis = np.linalg.pinv(inner, rcond=1e-10) / np.outer(size, size)
+        covariance = np.asarray(prior.basis @ of_basis @ prior.basis.T)
+        judged = _studentised(carried, S, covariance)
+        p[used] = chdtrc(2, judged)
+        worst = int(np.flatnonzero(used)[np.argmax(judged)])
+        if p[worst] >= _WRONG or np.sum(~used) + 1 > _MAX_WRONG_SHARE * used.size:
+            return _Fit(C, carried, S, covariance, p, used)
+        used[worst] = False
+
+
+def _statuses(J: FloatArray, S: FloatArray, prior: GyroPrior) -> tuple[Status, ...]:
+    if not prior.free.any():
+        unseen: Status = "not-observable"
+        return (unseen,) * prior.free.size
+    seen: list[Status] = list(observability(J, S, prior.free))
+    for entry in np.flatnonzero(prior.free & prior.with_prior):
+        seen[entry] = "weak"
+    return tuple(seen)
 
 
 def direction_covariance(
@@ -147,8 +185,8 @@ def direction_covariance(
 ) -> FloatArray:
     """Return the covariance of the unit vectors of the specific force, by rest, shape (3m, 3m).
 
-    The noise of the raw `means` moves a direction itself, and through C and b; so do misalignments that a
-    diagonal model ignores. `covariances`, shape (3, m, m), are of the means. `slopes`, shape (3, 3, 6), are
+    The noise of the raw `means` moves a direction itself, and through C and b; so do misalignments, by
+    their prior. `covariances`, shape (3, m, m), are of the means. `slopes`, shape (3, 3, 6), are
     derivatives of C in its lower triangle.
     """
     m = len(means)
@@ -160,7 +198,7 @@ def direction_covariance(
     by_parameter = (across @ by_parameter).reshape(3 * m, 9)
     gain = -fit.covariance @ np.linalg.solve(fit.residual_covariance, fit.jacobian).T
     weights = up @ fit.C
-    by_ignored = (by_parameter + by_parameter @ gain @ fit.jacobian) * fit.ignored
+    by_ignored = (by_parameter + by_parameter @ gain @ fit.jacobian) * fit.prior_deviation
     total: FloatArray = by_ignored @ by_ignored.T
     for axis in range(3):
         own = np.zeros((m, 3, m))
@@ -206,26 +244,32 @@ def _rotation_vectors(angles: FloatArray) -> FloatArray:
 
 
 def _gauss_newton(
-    data: TurnData, noise: GyroNoise, directions: FloatArray, C: FloatArray
+    data: TurnData, noise: GyroNoise, directions: FloatArray, C: FloatArray, prior: GyroPrior
 ) -> tuple[FloatArray, _Carried, FloatArray]:
     carried = _carry(data, C)
     S = np.zeros(0)
     for number in range(_STEPS):
         if number in _UPDATES:
-            S = _covariance(data, carried, noise, directions, C)
-        Jw, rw, size = _whitened(carried, S)
-        step = np.linalg.lstsq(Jw / size, -rw, rcond=1e-5)[0] / size
+            fixed = carried.J * prior.fixed_deviation(C)
+            S = _covariance(data, carried, noise, directions, C) + fixed @ fixed.T
+        Jw, rw, size = _whitened(C, carried, S, prior)
+        step = prior.basis @ (np.linalg.lstsq(Jw / size, -rw, rcond=1e-5)[0] / size)
         C = C + step.reshape(3, 3)
         carried = _carry(data, C)
-        if number >= max(_UPDATES) and np.all(np.abs(Jw @ step) < _SMALL_STEP):
+        moved = solve_triangular(np.linalg.cholesky(S), carried.J @ step, lower=True)
+        if number >= max(_UPDATES) and np.all(np.abs(moved) < _SMALL_STEP):
             break
     return C, carried, S
 
 
-def _whitened(carried: _Carried, S: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _whitened(
+    C: FloatArray, carried: _Carried, S: FloatArray, prior: GyroPrior
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return derivatives in the fitted parameters, residuals with those of the prior, and column sizes."""
     L = np.linalg.cholesky(S)
-    Jw = solve_triangular(L, carried.J, lower=True)
-    rw = solve_triangular(L, carried.residual.ravel(), lower=True)
+    differences, slopes = prior.rows(C)
+    Jw = np.vstack([solve_triangular(L, carried.J, lower=True), slopes]) @ prior.basis
+    rw = np.concatenate([solve_triangular(L, carried.residual.ravel(), lower=True), differences])
     size = np.linalg.norm(Jw, axis=0)
     return Jw, rw, np.where(size > 0, size, 1.0)
 

@@ -67,6 +67,16 @@ def spans_of(count: int, rest_s: float, turn_s: float = 3.0) -> IntArray:
     return np.column_stack([first, first + rest])
 
 
+def drawn_noise(model: NoiseModel, n: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Return noise of three axes, shape (n, 3), and the mean of its slow terms, which is part of the bias."""
+    white, slow = np.zeros((n, 3)), np.zeros((n, 3))
+    for axis in range(3):
+        for term in model.terms:
+            part = white if term.symbol == "N" else slow
+            part[:, axis] += NoiseModel(terms=(term,)).simulate(n, rate_hz=RATE, rng=rng)
+    return white + slow, slow.mean(axis=0)
+
+
 def accelerometer_rests(
     model: NoiseModel, count: int, rest_s: float, rng: np.random.Generator, up: FloatArray | None = None
 ) -> Rests:
@@ -75,14 +85,14 @@ def accelerometer_rests(
     spans = spans_of(count, rest_s)
     samples = int(spans[-1, 1])
     up = attitudes(count, rng) if up is None else up
-    noise = np.column_stack([model.simulate(samples, rate_hz=RATE, rng=rng) for _ in range(3)])
+    noise, drift = drawn_noise(model, samples, rng)
     at_rest = [noise[a:b] for a, b in spans]
     means = up * GRAVITY @ truth.M_a.T + truth.b_a + np.array([part.mean(axis=0) for part in at_rest])
     return Rests(
         means=means,
         spans=spans,
         samples=samples,
-        true=np.concatenate([np.linalg.inv(truth.M_a)[LOWER], truth.b_a + noise.mean(axis=0)]),
+        true=np.concatenate([np.linalg.inv(truth.M_a)[LOWER], truth.b_a + drift]),
         deviations=np.sqrt(np.mean([part.var(axis=0, ddof=1) for part in at_rest], axis=0)),
     )
 
@@ -157,17 +167,15 @@ def log(
     if latitude is not None:
         phi = math.radians(latitude)
         w += EARTH_RATE * (math.sin(phi) * f / GRAVITY + math.cos(phi) * np.vstack(norths))
-    e_a, e_g = (
-        np.column_stack([model.simulate(len(f), rate_hz=RATE, rng=rng) for _ in range(3)]) for model in noise
-    )
+    (e_a, drift_a), (e_g, drift_g) = (drawn_noise(model, len(f), rng) for model in noise)
     first = np.arange(len(up)) * (rest + turn)
     return Log(
         accelerometer=f @ truth.M_a.T + truth.b_a + e_a,
         gyroscope=w @ truth.M_g.T + truth.b_g + f @ truth.G.T + e_g,
         spans=np.column_stack([first, first + rest]),
         f=f,
-        b_a=truth.b_a + e_a.mean(axis=0),
-        b_g=truth.b_g + e_g.mean(axis=0),
+        b_a=truth.b_a + drift_a,
+        b_g=truth.b_g + drift_g,
     )
 
 

@@ -1,5 +1,7 @@
 """Accelerometer: exact recovery, observability, the diagonal model, which rest to add."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -100,14 +102,43 @@ def test_repeated_faces_do_not_determine_misalignment(truth: Truth) -> None:
 
 
 def test_nearly_repeated_faces_are_weak(truth: Truth) -> None:
-    """Tilted by a third of a degree, faces determine misalignment, but hardly."""
-    up = np.tile(FACES, (3, 1)) + np.random.default_rng(5).normal(0, 0.006, (18, 3))
+    """Tilted by half a degree, faces determine misalignment, but hardly."""
+    up = np.tile(FACES, (3, 1)) + np.random.default_rng(5).normal(0, 0.009, (18, 3))
     means = exact(up / np.linalg.norm(up, axis=1)[:, None], truth)
     fit = fit_accelerometer(means, noise(18), gravity=GRAVITY)
     assert fit.model == "full"
     statuses = dict(zip(PARAMETERS, fit.statuses, strict=True))
     assert {statuses[p] for p in PARAMETERS if "mis" in p} == {"weak"}
     assert statuses["bias_x"] == "estimated"
+
+
+def test_faces_that_are_tilted_by_chance_do_not_make_a_result_worse() -> None:
+    """Without the prior, tilts of 0.3° would give misalignments of several degrees from the noise."""
+    for seed in range(6330, 6340):
+        rng = np.random.default_rng(seed)
+        own = Truth.draw(rng)
+        up = np.tile(FACES, (2, 1)) + rng.normal(0, 0.004, (12, 3))
+        means = exact(up / np.linalg.norm(up, axis=1)[:, None], own) + rng.normal(0, 1e-3, (12, 3))
+        fit = fit_accelerometer(means, noise(12), gravity=GRAVITY)
+        diagonal = fit_accelerometer(means, noise(12), gravity=GRAVITY, model="diagonal")
+        everywhere = exact(attitudes(500, rng, tilt=1.0), own)
+        worst, peer = (
+            np.abs(np.linalg.norm((everywhere - each.b) @ each.C.T, axis=1) - GRAVITY).max()
+            for each in (fit, diagonal)
+        )
+        assert worst <= 1.1 * peer
+
+
+def test_a_large_misalignment_is_not_drawn_to_the_prior() -> None:
+    """2.5°, 2.9 deviations of the prior, is found to the noise; its interval is that of the rests alone."""
+    M = np.eye(3)
+    M[1, 0], M[2, 1] = math.tan(math.radians(2.5)), -math.tan(math.radians(2.5))
+    own = Truth(M_a=300 * M, b_a=np.array([40.0, -20.0, 7.0]), M_g=np.eye(3), b_g=np.zeros(3), G=np.eye(3))
+    means = exact(attitudes(18, np.random.default_rng(6340)), own)
+    fit = fit_accelerometer(means, noise(18) * 300**2, gravity=GRAVITY)
+    np.testing.assert_allclose(np.linalg.inv(fit.C), own.M_a, rtol=0, atol=1e-4)
+    assert not fit.with_prior.any()
+    assert set(fit.statuses) == {"estimated"}
 
 
 def test_unknown_gravity_widens_scales_only(truth: Truth) -> None:

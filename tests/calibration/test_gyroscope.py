@@ -186,7 +186,29 @@ def test_a_single_turn_leaves_most_unobservable() -> None:
     one = chain(7600)
     fit = fit_turns(one.data.keeping(np.arange(11) == 3), one.noise, one.directions)
     assert fit.statuses.count("not-observable") >= 7
-    assert np.abs(fit.C - np.eye(3)).max() < 0.1
+    unseen = np.reshape([status == "not-observable" for status in fit.statuses], (3, 3))
+    np.testing.assert_array_equal(fit.C[unseen], np.eye(3)[unseen])
+
+
+@pytest.mark.parametrize("scale", [1.0, 3000.0])
+def test_few_turns_are_never_worse_than_none(scale: float) -> None:
+    """Two turns of a gyroscope in rad/s or in counts: what they do not show stays the identity."""
+    for seed in range(7610, 7616):
+        one = chain(seed)
+        data = replace(one.data.keeping(np.arange(11) < 2), rates=scale * one.data.rates[:2])
+        models = tuple(
+            NoiseModel(terms=tuple(type(t).of(scale * t.coefficient) for t in model.terms))
+            for model in one.noise.models
+        )
+        fit = fit_turns(data, replace(one.noise, models=models), one.directions)
+        truth = np.linalg.inv(one.truth.M_g)
+        C = fit.C * scale
+        common = 1.0 if scale == 1.0 else np.trace(C) / 3
+        assert np.abs(C - truth).max() < 1.1 * np.abs(np.eye(3) - truth).max() + abs(common - 1)
+        off_diagonal = ~np.eye(3, dtype=bool)
+        unseen = np.reshape([status == "not-observable" for status in fit.statuses], (3, 3)) & off_diagonal
+        assert unseen.any()
+        assert np.all(C[unseen] == 0)
 
 
 def test_insignificant_g_sensitivity_is_not_applied() -> None:

@@ -72,7 +72,8 @@ def test_a_plan_names_attitudes_and_gets_better_with_more_rests() -> None:
     assert few.attitudes[0] == "down along -z"
     assert len(set(many.attitudes)) == 26
     for name, one in many.accelerometer.items():
-        assert (one.half_width or 9) < (few.accelerometer[name].half_width or 0)
+        # Three edges do not show every misalignment.
+        assert (one.half_width or 9) < (few.accelerometer[name].half_width or 9)
     accel = {name: model for name, model in MODELS.items() if name.startswith("accel")}
     assert plan_rests(accel, 9).gyroscope == {}
     for models, count, said in ((MODELS, 8, "8 rests do not determine"), ({}, 9, "needs the noise of")):
