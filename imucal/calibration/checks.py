@@ -34,8 +34,11 @@ _RATE_ERROR = 0.03
 _RATE_SPREAD = 0.5
 #: Largest mean rate at rest of firmware that subtracts it, in deviations of its white noise.
 _ZEROED = 4.0
-#: Factor by which an error after the calibration must exceed the one before to be more than rounding.
+#: Factor by which an error of gravity after the calibration must exceed the one before to be more than
+#: rounding.
 _WORSE = 1.02
+#: The same for turns: without misalignments, errors of the directions of gravity are most of both.
+_WORSE_TURNS = 1.1
 _RECORD_AGAIN = "Do not use this calibration. Record again: each face and six edges, 5 s each."
 #: Most times listed.
 _LISTED = 4
@@ -97,7 +100,7 @@ def _worse_turns(found: Calibration) -> Iterator[Finding]:
     turns = [turn for turn in found.turns if turn.used]
     before = _rms(math.hypot(*(turn.before_deg or ())) for turn in turns)
     after = _rms(math.hypot(*(turn.residual_deg or ())) for turn in turns)
-    if after > _WORSE * before:
+    if after > _WORSE_TURNS * before:
         text = (
             f"The calibration makes the gyroscope worse: the turns are wrong by {before:.2g}° rms before "
             f"and {after:.2g}° after."

@@ -25,7 +25,7 @@ from imucal.recording import AXES, AxisSeries, Recording, Sensor, Source
 __all__ = ["MIN_RESTS", "ImuErrors", "RestsPlan", "plan_rests", "simulate_rests"]
 
 #: Minimum number of rests of a log, and of a plan, which fits nine parameters.
-MIN_RESTS, _MIN_PLANNED = 6, 9
+MIN_RESTS = 6
 #: Errors of a consumer IMU: scale, misalignment in rad, biases and g-sensitivity in SI.
 _SCALE, _MISALIGNED, _BIAS_A, _BIAS_G, _G = 0.01, 0.01, 0.15, 0.01, 1e-4
 #: Tilt of an attitude, in rad; length of a turn in s, and its yaw, in rad.
@@ -116,11 +116,9 @@ def plan_rests(
 ) -> RestsPlan:
     """Return the attitudes of a log with `count` rests, and the intervals to expect.
 
-    The sensor is taken as perfect and its noise as known. Fewer than 9 rests, or an accelerometer without
-    model, raise an ArgumentError.
+    The sensor is taken as perfect and its noise as known. Fewer than 9 rests do not determine misalignments.
+    Fewer than 6 rests, or an accelerometer without model, raise an ArgumentError.
     """
-    if count < _MIN_PLANNED:
-        raise ArgumentError(f"{count} rests do not determine misalignment; plan {_MIN_PLANNED} or more")
     own = {
         sensor: tuple(models[name] for axis in AXES if (name := f"{sensor.short}_{axis}") in models)
         for sensor in Sensor
@@ -188,7 +186,7 @@ def _ideal(count: int) -> FloatArray:
 
 def _up(count: int, rng: np.random.Generator) -> FloatArray:
     if count < MIN_RESTS:
-        raise ArgumentError(f"{count} rests can't be calibrated; simulate {MIN_RESTS} or more")
+        raise ArgumentError(f"{count} rests can't be calibrated; expected {MIN_RESTS} or more")
     found = _ideal(count) + rng.normal(0, _TILT, (count, 3))
     return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
 

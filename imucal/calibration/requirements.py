@@ -1,5 +1,7 @@
 """Requirements of a log, and which turns can be used."""
 
+import math
+
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray
@@ -24,6 +26,18 @@ _NOISY = 3
 _LONGEST_TURN_S = 60.0
 #: Least repetitions of an extreme on a clipped axis, and its least distance from rest, in steps.
 _REPEATED, _FAR = 3, 20
+#: Length of a segment in which a vibration is searched for, in s: a resolution of 0.5 Hz.
+_SEGMENT_S = 2.0
+#: Least number of segments, and least samples of one.
+_MIN_SEGMENTS = 4
+_MIN_SEGMENT = 64
+#: Lowest frequency of a vibration, in Hz; slower motion is handling.
+_SLOWEST_VIBRATION_HZ = 5.0
+#: Bins on each side with which a line is compared, and how far its power must be above their median: white
+#: noise
+#: exceeds 30 in fewer than one of 10^6 bins.
+_NEIGHBOURS = 8
+_FAR_ABOVE = 30.0
 ADVICE = "put the IMU down on each face and on six edges, 5 s each: about 2 minutes"
 
 
@@ -40,7 +54,43 @@ def require_rests(spans_s: FloatArray, accelerometer: Triad, gyroscope: Triad | 
     elif held >= MIN_RESTS:
         hint, remedy = f"; {held} rests have the tremor of a hand", ("in_hand",)
     found = f"rests in {accelerometer.end_s:.0f} s: found {len(spans_s)}, expected at least {MIN_RESTS}"
-    raise DataError(f"{found}; {ADVICE}{hint}", remedy=remedy)
+    advice = ADVICE
+    vibration = _vibration(accelerometer)
+    if vibration is not None:
+        frequency_hz, amplitude = vibration
+        advice = (
+            f"it vibrates at about {frequency_hz:.3g} Hz, with {amplitude:.2g} {accelerometer.sensor.unit}; "
+            "switch the "
+            "motors off, or put it on a table that is at rest"
+        )
+    raise DataError(f"{found}; {advice}{hint}", remedy=remedy)
+
+
+def _vibration(data: Triad) -> tuple[float, float] | None:
+    """Return frequency in Hz and amplitude, in units of the samples, of a vibration during the whole log.
+
+    The axis and the frequency are those with the largest power. None if it is not far above its neighbours,
+    or if it is not there in most segments.
+    """
+    samples = np.nan_to_num(data.samples)
+    size = min(round(_SEGMENT_S * data.rate_hz), len(samples) // _MIN_SEGMENTS)
+    if size < _MIN_SEGMENT:
+        return None
+    count = len(samples) // size
+    segments = samples[: count * size].reshape(count, size, -1)
+    window = np.hanning(size)[:, None]
+    power = np.abs(np.fft.rfft((segments - segments.mean(axis=1, keepdims=True)) * window, axis=1)) ** 2
+    # Turns are in few segments, and their spectrum falls with frequency.
+    usual = np.quantile(power, 1 / 4, axis=0)
+    frequencies = np.fft.rfftfreq(size, 1 / data.rate_hz)
+    usual[frequencies < _SLOWEST_VIBRATION_HZ] = 0.0
+    place, axis = np.unravel_index(int(np.argmax(usual)), usual.shape)
+    around = usual[max(0, place - _NEIGHBOURS) : place + _NEIGHBOURS + 1, axis]
+    if not usual[place, axis] > _FAR_ABOVE * np.median(around[around > 0]):
+        return None
+    # A line of amplitude a has the power (a/2 sum of the window)^2.
+    amplitude = 2 * math.sqrt(usual[place, axis]) / window.sum()
+    return float(frequencies[place]), float(amplitude)
 
 
 def require_attitudes(means: FloatArray) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from imucal.calibration.writer import is_calibration
 from imucal.cli._declared import misuse, option, together
 from imucal.cli._printing import as_typed, name_of_log, print_note
 from imucal.cli.parameters import LOG, LogRequest, model_of
@@ -149,6 +150,12 @@ def read_report(report: str | Path) -> Report:
     path = Path(report)
     if path.is_file() and path.suffix != ".json":
         raise ReadError(f"{path}: not a report.json or its folder; run 'imucal fit {as_typed(path)}' first")
+    if path.exists() and is_calibration(path):
+        msg = (
+            f"{path}: a calibration, not a report of noise; to see its values in a file, type "
+            f"'imucal export {as_typed(path)} --to yaml -o -'"
+        )
+        raise ReadError(msg)
     return load(path)
 
 

@@ -1,6 +1,7 @@
 """``imucal export``: the config files of downstream filters and simulators."""
 
 import math
+import os
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
@@ -81,10 +82,11 @@ def command(
         multiple=True,
         required=True,
     ),
-    out: Path | None = option(
-        "-o --out PATH  Write to this file or folder, or - for standard output. [default: the format's "
-        f"file name; for several formats the folder {_FOLDER}]",
-        click.Path(path_type=Path, allow_dash=True),
+    out: str | None = option(
+        "-o --out PATH  Write to this file or folder (a name that ends with / is a folder), or - for "
+        "standard "
+        f"output. [default: the format's file name; for several formats the folder {_FOLDER}]",
+        click.Path(allow_dash=True),
     ),
     options: dict[str, Any] = together(
         dict,
@@ -181,18 +183,21 @@ Formats of a calibration, with noise numbers if it was made with --noise:
 {command.epilog}"""
 
 
-def _write(texts: dict[str, str], out: Path | None, *, several: bool) -> None:
-    if out == Path("-"):
+def _write(texts: dict[str, str], out: str | None, *, several: bool) -> None:
+    if out == "-":
         if several:
             misuse("standard output takes one format; name a folder", "-o")
         click.echo(next(iter(texts.values())), nl=False)
         return
-    for file in write_configs(texts, out or (_FOLDER if several else Path()), folder=several):
+    path = Path(out) if out else (_FOLDER if several else Path())
+    # A path without its last slash is the same path.
+    named_folder = out is not None and out.endswith(("/", os.sep))
+    for file in write_configs(texts, path, folder=several or named_folder):
         echo(str(file))
 
 
 def _export_calibration(
-    path: Path, names: tuple[str, ...], out: Path | None, options: exports.ExportOptions
+    path: Path, names: tuple[str, ...], out: str | None, options: exports.ExportOptions
 ) -> None:
     """Write the files of a calibration; with ``all``, list the formats without a calibration."""
     found, every = load_intrinsics(path), "all" in names
@@ -211,7 +216,7 @@ def _export_calibration(
                 raise
             print_note(f"{target.name} is not written: {error}")
     _write({target.file_name: text for target, text in texts.items()}, out, several=every or len(texts) > 1)
-    if noise is None and out != Path("-") and any(target.noise for target in texts):
+    if noise is None and out != "-" and any(target.noise for target in texts):
         print_note("The files have no noise numbers: run imucal calibrate with --noise REPORT")
 
 

@@ -53,7 +53,7 @@ def command(
         "--duration TIME  Also predict the precision of a log of this length, such as 3h.", DURATION
     ),
     rests: int | None = option(
-        "--rests N  Plan a log of N rests for imucal calibrate.", click.IntRange(9, 1000)
+        "--rests N  Plan a log of N rests for imucal calibrate.", click.IntRange(6, 1000)
     ),
     rest: float = option("--rest TIME=5s  Length of each rest, with --rests.", DURATION),
     latitude: float | None = option("--latitude DEG  Latitude of the place, with --rests.", Number(-90, 90)),

@@ -450,3 +450,31 @@ def test_a_calibration_that_makes_the_log_worse_is_an_error() -> None:
     worse = list(worse_than_before(replace(good, rests=rests, turns=turns)))
     assert {(finding.level, finding.axis) for finding in worse} == {("error", "accel"), ("error", "gyro")}
     assert not list(worse_than_before(good))
+
+
+@pytest.mark.parametrize(("frequency_hz", "amplitude"), [(20.0, 0.5), (50.3, 0.5)])
+def test_a_vibration_is_named_if_there_are_no_rests(frequency_hz: float, amplitude: float) -> None:
+    """A vertical vibration is on another axis in each attitude, so that no window looks quiet."""
+    rng = np.random.default_rng(8_811)
+    one = log(Truth.draw(rng), NOISE, attitudes(12, rng), rng)
+    seconds = np.arange(len(one.f)) / RATE
+    up = one.f / np.linalg.norm(one.f, axis=1)[:, None]
+    wave = amplitude * np.sin(2 * np.pi * frequency_hz * seconds)[:, None] * up
+    shaken = replace(one, accelerometer=one.accelerometer + wave)
+    with pytest.raises(DataError, match="it vibrates at about") as error:
+        calibrate(shaken.recording(), gravity=GRAVITY)
+    match = re.search(r"about ([\d.]+) Hz", str(error.value))
+    assert match is not None
+    # Above half the rate it is folded.
+    assert float(match[1]) == pytest.approx(min(frequency_hz, RATE - frequency_hz), abs=0.5)
+
+
+def test_without_rests_a_moving_imu_does_not_vibrate() -> None:
+    rng = np.random.default_rng(8_812)
+    one = log(Truth.draw(rng), NOISE, attitudes(12, rng), rng)
+    moved = replace(
+        one, accelerometer=one.accelerometer + np.cumsum(rng.normal(0, 0.05, one.accelerometer.shape), axis=0)
+    )
+    with pytest.raises(DataError) as error:
+        calibrate(moved.recording(), gravity=GRAVITY)
+    assert "vibrates" not in str(error.value)

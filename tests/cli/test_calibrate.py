@@ -341,3 +341,33 @@ def test_export_of_a_calibration(folder: Path, tmp_path: Path) -> None:
         done = run("export", *arguments, cwd=tmp_path)
         assert done.returncode == code, done.stderr
         assert said in done.stderr
+
+
+@pytest.mark.parametrize("name", ["fresh/", "a/b/"])
+def test_an_export_to_a_name_with_a_slash_makes_a_folder(folder: Path, tmp_path: Path, name: str) -> None:
+    if name == "a/b/":
+        (tmp_path / "a").mkdir()
+    place = str(folder / "poses-calibration")
+    assert run("export", place, "--to", "openvins", "-o", name, cwd=tmp_path).returncode == 0
+    assert (tmp_path / name).is_dir()
+    assert [file.suffix for file in (tmp_path / name).iterdir()] == [".yaml"]
+
+
+@pytest.mark.parametrize("command", ["compare {0} {0}", "compare {0}/calibration.json {0}", "plan {0}"])
+def test_a_calibration_in_place_of_a_report_is_named(folder: Path, tmp_path: Path, command: str) -> None:
+    place = folder / "poses-calibration"
+    result = run(*command.format(place).split(), cwd=tmp_path)
+    assert (result.returncode, result.stdout) == (3, "")
+    assert "a calibration, not a report of noise" in result.stderr
+    match = re.search(r"type 'imucal (.+?)'", " ".join(result.stderr.split()))
+    assert match is not None
+    assert run(*match[1].split(), cwd=tmp_path).returncode == 0
+
+
+def test_six_rests_can_be_planned(tmp_path: Path) -> None:
+    """Without misalignment, which they do not determine."""
+    model = ("N=1e-4 + B=1e-5", "--accel", "N=1e-3 + B=3e-4", "--rate", "100")
+    planned = run("plan", *model, "--rests", "6", cwd=tmp_path)
+    assert planned.returncode == 0
+    assert "6 rests of 5 s" in planned.stdout
+    assert run("plan", *model, "--rests", "5", cwd=tmp_path).returncode == 2
