@@ -2,6 +2,7 @@
 
 A number passes if it is at least the number for the fitted values. Between this and the number for their
 limits, the record is too short to decide. A wrong number is compared with likely mistakes, such as degrees.
+One mistake that explains all numbers of the file, or of a sensor, is preferred to a separate one for each.
 """
 
 import math
@@ -36,6 +37,9 @@ _VALUES = Caution(0.0, 0.0)
 _ABSURD, _FAR_BELOW_A_BOUND = 1e-3, 1e-5
 #: A number matches a mistake within this factor; a small excess may be on purpose, so it must match better.
 _NEAR, _NEAR_ON_PURPOSE, _ON_PURPOSE = 1.35, 1.1, 30.0
+#: The same for one mistake of several numbers, of which one must match as above. K is often only bounded, and
+#: then the exporter's number is up to twice the number of the truth.
+_NEAR_SHARED = 2.0
 #: People multiply by ten, which is nearly 9.81.
 _ON_HABIT = ", or made ten times as large on purpose"
 #: Largest difference of the natural logarithms of equal factors.
@@ -188,6 +192,7 @@ def _noise_rows(
         for each in settings
         if each.is_called(name)
     ]
+    judged = list[tuple[Setting, _Wanted, str]]()
     for key, i, setting in there:
         short = key.sensor.short
         if key.sensor not in numbers.sensors:
@@ -197,12 +202,33 @@ def _noise_rows(
         mates = [(k, s) for k, j, s in there if (k.sensor, j) == (key.sensor, i) and k.symbol != key.symbol]
         axes = (numbers.triad(key.sensor)[i],) if "{" in key.name else numbers.chosen(key.sensor)
         wanted = _Wanted.of(key, mates, axes, numbers)
-        yield _noise_row(setting, wanted, spelled.get(_names(key)[i]) or real(wanted.right))
+        judged.append((setting, wanted, spelled.get(_names(key)[i]) or real(wanted.right)))
+    shared = _shared_mistake([(wanted, setting) for setting, wanted, _ in judged])
+    for setting, wanted, line in judged:
+        same_sensor = [(other, s) for s, other, _ in judged if other.key.sensor is wanted.key.sensor]
+        yield _noise_row(setting, wanted, line, shared or _shared_mistake(same_sensor))
 
 
-def _noise_row(setting: Setting, wanted: "_Wanted", spelled: str) -> Row:
-    """Return the verdict on a key; for a matrix, on the worst number of its diagonal."""
-    judged = [(*wanted.judge(number), number) for number in _diagonal(setting)]
+def _shared_mistake(numbers: Sequence[tuple["_Wanted", Setting]]) -> str:
+    """Return the name of the mistake that explains all numbers of several keys best; empty if none does."""
+    if len(numbers) < 2:
+        return ""
+    distances = [wanted.distances(each) for wanted, setting in numbers for each in _diagonal(setting)]
+    common = set.intersection(*map(set, distances))
+    totals = {
+        name: sum(each[name] for each in distances)
+        for name in common
+        if min(each[name] for each in distances) < math.log(_NEAR)
+    }
+    return min(sorted(totals), key=lambda name: totals[name], default="")
+
+
+def _noise_row(setting: Setting, wanted: "_Wanted", spelled: str, shared: str) -> Row:
+    """Return the verdict on a key; for a matrix, on the worst number of its diagonal.
+
+    `shared` is the name of a mistake that explains other keys too, or empty.
+    """
+    judged = [(*wanted.judge(number, shared), number) for number in _diagonal(setting)]
     verdict, message, number = min(judged, key=lambda each: WORST_FIRST.index(each[0]))
     key, right = wanted.key, wanted.right
     # A number that passes only with the file's other number has no limit of its own.
@@ -229,6 +255,14 @@ def _diagonal(setting: Setting) -> tuple[float, ...]:
     size = math.isqrt(len(numbers))
     square = size > 1 and size * size == len(numbers)
     return (numbers[:: size + 1] if square else numbers) or (math.nan,)
+
+
+class _Mistake(NamedTuple):
+    """A likely mistake: its name in all keys, the number that it gives, and the message."""
+
+    name: str
+    number: float
+    message: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,11 +295,11 @@ class _Wanted:
         number = key.formula.of(right[key.symbol], rate_hz)
         return cls(key, axes, numbers, number, other, fitted)
 
-    def judge(self, number: float) -> tuple[Verdict, str]:
+    def judge(self, number: float, shared: str) -> tuple[Verdict, str]:
         if not 0 < number < math.inf:
             return "fail", "expected a positive number"
         over = (number / self.right) ** (1 / self.key.formula.power)
-        mistake = self._mistake(number)
+        mistake = self._mistake(number, shared)
         if over < _ENOUGH:
             return self._too_small(number, mistake, over)
         times = f"{number / self.right:.3g} times too large"
@@ -302,47 +336,71 @@ class _Wanted:
         given = (white / options.factor("N")) ** 2 + walks
         return bool(np.all(given >= _ENOUGH**2 * np.max(wanted, axis=0)))
 
-    def _mistake(self, number: float) -> str:
-        power = self.key.formula.power
+    def distances(self, number: float) -> dict[str, float]:
+        """Return the distance of a wrong number from each mistake that may explain it, by its name."""
+        if not 0 < number < math.inf:
+            return {}
+        over = (number / self.right) ** (1 / self.key.formula.power)
+        if _ENOUGH <= over <= _SUSPECT:
+            return {}
+        found: dict[str, float] = {}
+        for mistake in self._mistakes():
+            distance = self._distance(number, mistake)
+            if distance < self._tolerance(mistake, _NEAR_SHARED):
+                found[mistake.name] = min(distance, found.get(mistake.name, math.inf))
+        return found
 
-        def off(other: float) -> float:
-            return abs(math.log(number / other)) / power
+    def _distance(self, number: float, mistake: _Mistake) -> float:
+        """Return the difference of the natural logarithms of two coefficients."""
+        return abs(math.log(number / mistake.number)) / self.key.formula.power
 
-        other, message = min(self._mistakes(), key=lambda each: off(each[0]))
-        larger = (other / self.right) ** (1 / power)
-        near = _NEAR_ON_PURPOSE if 1 < larger < _ON_PURPOSE else _NEAR
-        return message if off(other) < math.log(near) else ""
+    def _tolerance(self, mistake: _Mistake, near: float) -> float:
+        larger = (mistake.number / self.right) ** (1 / self.key.formula.power)
+        return math.log(_NEAR_ON_PURPOSE if 1 < larger < _ON_PURPOSE else near)
 
-    def _mistakes(self) -> Iterator[tuple[float, str]]:
+    def _mistake(self, number: float, shared: str) -> str:
+        """Return the message of the shared mistake, or of the nearest; empty if that one is too far."""
+        mistakes = [each for each in self._mistakes() if shared in {"", each.name}]
+        nearest = min(mistakes, key=lambda each: self._distance(number, each))
+        near = _NEAR_SHARED if shared else _NEAR
+        return nearest.message if self._distance(number, nearest) < self._tolerance(nearest, near) else ""
+
+    def _mistakes(self) -> Iterator[_Mistake]:
         key, f, formula = self.key, self.numbers.stream_hz, self.key.formula
         symbol = key.symbol
         root, units = math.sqrt(f), TERMS[symbol].coefficient_units(key.sensor)
         wanted, sample = next(iter(units)), SAMPLE_UNITS[key.sensor]
         factors = {f"sqrt(f) at {f:g} Hz": root, f"f = {f:g} Hz": f, "57.3": 180 / math.pi, "9.81": G0}
         for c in {formula.inverse(self.right, f), self.fitted.get(symbol, 0.0)} - {0.0}:
-            slips = {
-                f"{symbol}*sqrt(f), the deviation of one sample": c * root,
-                f"{symbol}/sqrt(f), the step of one sample": c / root,
-                f"{symbol}^2*f, the variance of one sample": c * c * f,
-                f"{symbol}, the continuous density": c,
-                f"{symbol}^2, the square of the continuous density": c * c,
-                "one such factor too many": formula.of(c * root, f),
-                "one such factor is missing": formula.of(c / root, f),
-                "one factor of the rate too many": formula.of(c * f, f),
-                "one factor of the rate is missing": formula.of(c / f, f),
-                **{f"it is in {unit}, not in {wanted}": formula.of(c / of, f) for unit, of in units.items()},
-            }
             turned = (
                 f"g into SI twice{_ON_HABIT}" if key.sensor is Sensor.ACCELEROMETER else "deg/s into SI twice"
             )
-            slips[f"it was converted from {turned}"] = formula.of(c * sample[turned.split(maxsplit=1)[0]], f)
-            for message, other in slips.items():
-                by = formula.inverse(other, f) / c
+            twice = formula.of(c * sample[turned.split(maxsplit=1)[0]], f)
+            slips = [
+                _Mistake("deviation", c * root, f"{symbol}*sqrt(f), the deviation of one sample"),
+                _Mistake("step", c / root, f"{symbol}/sqrt(f), the step of one sample"),
+                _Mistake("variance", c * c * f, f"{symbol}^2*f, the variance of one sample"),
+                _Mistake("density", c, f"{symbol}, the continuous density"),
+                _Mistake("square", c * c, f"{symbol}^2, the square of the continuous density"),
+                _Mistake("one root more", formula.of(c * root, f), "one such factor too many"),
+                _Mistake("one root less", formula.of(c / root, f), "one such factor is missing"),
+                _Mistake("one rate more", formula.of(c * f, f), "one factor of the rate too many"),
+                _Mistake("one rate less", formula.of(c / f, f), "one factor of the rate is missing"),
+                _Mistake("SI twice", twice, f"it was converted from {turned}"),
+            ]
+            for unit, of in units.items():
+                message = f"it is in {unit}, not in {wanted}"
+                # The units of N and K with the same factor belong together, such as deg/s.
+                slips.append(_Mistake(f"unit {of:.3g}", formula.of(c / of, f), message))
+            for mistake in slips:
+                by = formula.inverse(mistake.number, f) / c
                 size = abs(math.log(by))
                 name = next((n for n, x in factors.items() if abs(size - math.log(x)) < _EQUAL), "")
                 if size > _EQUAL:
-                    yield other, f"by {name}: {message}" if name else message
+                    message = f"by {name}: {mistake.message}" if name else mistake.message
+                    yield mistake._replace(message=message)
         for other_symbol in {"N": "K", "K": "BN"}[symbol]:
             if other_c := self.fitted.get(other_symbol):
                 names = (f"{s}, the {TERMS[s].name(key.sensor)}," for s in (other_symbol, symbol))
-                yield formula.of(other_c, f), " in place of ".join(names).removesuffix(",")
+                message = " in place of ".join(names).removesuffix(",")
+                yield _Mistake(f"{other_symbol} for {symbol}", formula.of(other_c, f), message)

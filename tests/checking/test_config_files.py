@@ -294,3 +294,39 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         LimitsError, match=r"c\.yaml: found no noise parameter; expected a file of one of kalibr,"
     ):
         check_config(tmp_path / "c.yaml", PAIR)
+
+
+def test_one_mistake_of_all_numbers_is_preferred(tmp_path: Path) -> None:
+    """Continuous densities in a VINS file: K in a unit of g gives nearly the same for one of them alone."""
+    n, k = 1 / math.sqrt(2 * RATE_HZ), 1 / ROOT
+    parts = (0.83 * n, 0.95 * n, k / 1.46, k / 1.81)
+    rows = read_back(tmp_path, vins(*parts))
+    assert {row.verdict for row in rows.values() if row.where != "log"} == {"fail"}
+    for name in ("acc_n", "gyr_n", "acc_w", "gyr_w"):
+        symbol = name[-1].replace("n", "N").replace("w", "K")
+        assert f"{symbol}, the continuous density; write" in rows[name].text
+
+
+def vins(acc_n: float, gyr_n: float, acc_w: float, gyr_w: float) -> str:
+    """Return a config of VINS whose numbers are the given parts of the right ones."""
+    parts = {"acc_n": acc_n, "acc_w": acc_w, "gyr_n": gyr_n, "gyr_w": gyr_w}
+    lines = render(PAIR, "vins").splitlines()
+    for i, line in enumerate(lines):
+        name, _, value = line.partition(":")
+        if name in parts:
+            lines[i] = f"{name}: {parts[name] * float(value.split()[0])!r}"
+    return "\n".join(lines) + "\n"
+
+
+def test_a_mistake_of_one_number_needs_no_other(tmp_path: Path) -> None:
+    """The other numbers are right, so each row has its own explanation."""
+    rows = read_back(tmp_path, kalibr(N[GYRO] / DEGREE, 1e-6))
+    assert "times too large: by 57.3: it is in deg/s/sqrt" in rows["gyroscope_noise_density"].text
+    assert {row.verdict for name, row in rows.items() if name != "gyroscope_noise_density"} == {"pass"}
+
+
+def test_degrees_of_both_numbers_are_one_mistake(tmp_path: Path) -> None:
+    """The other sensor is right: the mistake is shared by the numbers of the gyroscope."""
+    rows = read_back(tmp_path, kalibr(0.9 * N[GYRO] / DEGREE, 0.8 * K[GYRO] / DEGREE))
+    for name in ("gyroscope_noise_density", "gyroscope_random_walk"):
+        assert "it is in deg/" in rows[name].text

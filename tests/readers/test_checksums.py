@@ -3,6 +3,7 @@
 import gzip
 import hashlib
 import json
+import os
 from pathlib import Path
 
 import jsonschema
@@ -128,3 +129,11 @@ def test_the_range_of_a_recording_is_reported(tmp_path: Path) -> None:
     assert plain.source.read.from_s == 1.0
     assert plain.source.read.duration_s == pytest.approx(2.0)
     assert plain.source.read.start_ns is None
+
+
+def test_a_pipe_has_no_checksum(tmp_path: Path) -> None:
+    """Opening it would wait for a writer."""
+    path = tmp_path / "log.csv"
+    os.mkfifo(path)
+    with checksums_of([path]) as files_of_log:
+        assert files_of_log() == (LogFileInfo(path=str(path), size_bytes=0, blake2b=None),)

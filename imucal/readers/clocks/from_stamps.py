@@ -29,6 +29,11 @@ LOG_TIME = "log time"
 
 #: Share of zero stamps above which log time is used.
 _MAX_ZEROS = 0.01
+#: Share of samples without a time stamp of their own above which the stamps give no clock: a rate would be by
+#: chance.
+_MAX_SHARED = 0.5
+#: Units of float32 time columns, in ns: s, ms, us, ns.
+_FLOAT_UNITS_NS = (10**9, 10**6, 10**3, 1)
 #: One day in ns: a longer jump forward means that the clock was set.
 _DAY = 86_400 * 10**9
 #: Fewest samples per clock reset; with fewer the stamps are noise.
@@ -329,6 +334,8 @@ class _Stamps:
                 jitter = period.jitter * period.tau_ns
             elif 0.5 < tau / period.tau_ns < 2:
                 period = replace(period, tau_ns=tau)
+        if breaks.doubled.size > _MAX_SHARED * stamps.size:
+            return self._clock_of_rate(rate_hz)
         log_ns = self.log_ns if self.source != LOG_TIME else None
         missing, jumps = _believable(stamps, log_ns, breaks, resets, period.tau_ns)
         notes += stamp_notes(steps, stamps.size, breaks, period)
@@ -355,6 +362,34 @@ class _Stamps:
             kept = self.room.places(keep)
             self.order = kept if self.order is None else self.room.taken(self.order, kept)
         return clock
+
+    def _clock_of_rate(self, rate_hz: float | None) -> Clock:
+        """Return an even clock at the given rate; raises ChoiceError without a rate."""
+        stamps, n = self.stamps, self.stamps.size
+        changes = sum(
+            int(np.count_nonzero(np.diff(stamps[max(part.start - 1, 0) : part.stop])))
+            for part in blocks(n, stamps)
+        )
+        step_ns = (int(stamps[-1]) - int(stamps[0])) / max(changes, 1)
+        found = (
+            f"the {n} samples have only {changes + 1} different time stamps ({self.source}), "
+            f"{step_ns / 1e9:.4g} s apart"
+        )
+        way = "save a time stamp per sample"
+        if any(_is_spacing(step_ns / unit, float(stamps[-1]) / unit) for unit in _FLOAT_UNITS_NS):
+            found += ", which is the resolution of float32"
+            way = "save the times as float64"
+        if rate_hz is None:
+            raise ChoiceError(f"{found}; expected one per sample; {way}, or give the sampling rate")
+        advice = f"{way[0].upper()}{way[1:]}."
+        text = f"{found[0].upper()}{found[1:]}; they are ignored, so gaps are not found."
+        self.notes.append(Finding("warning", "time-unused", text, advice))
+        return Clock.even(n, float(rate_hz), source="given rate")
+
+
+def _is_spacing(step: float, value: float) -> bool:
+    """Return whether a step is the distance of float32 numbers near a value, in the same unit."""
+    return abs(step / float(np.spacing(np.float32(value))) - 1) < 0.01
 
 
 def _filled(stamps: IntArray, room: Room) -> IntArray:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 from imucal.readers.containers import Channel
-from imucal.readers.files import refused
+from imucal.readers.files import refused, require_file
 
 #: "other" covers structures and everything else without a fixed layout.
 Kind: TypeAlias = Literal["number", "array", "string", "sequence", "other"]
@@ -44,8 +44,16 @@ _TIMES = {"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"}
 #: rosbags expects 80 characters between types, and no constants in lower case.
 _SEPARATOR = re.compile(r"^=+\s*MSG:\s*", re.MULTILINE)
 _CONSTANT = re.compile(r"^[ \t]*\w+(<=\d+)?[ \t]+\w+[ \t]*=.*$", re.MULTILINE)
+#: Lines without a field: blank, or only a comment. rosbags takes a time that is quadratic in their number.
+_EMPTY_LINE = re.compile(r"[ \t]*(#.*)?")
 #: Limits of nesting, and of fields and files.
 _MAX_DEPTH, _MAX_FIELDS = 16, 20_000
+#: Most lines visited to lay out a message, with repeats of nested types: a second.
+_MAX_VISITS = 100_000
+#: Longest definition, in bytes: rosbags parses 140 kB per second; those of PX4 and ROS have up to 60 kB.
+_MAX_TEXT = 1 << 18
+#: Longest line, in bytes: rosbags takes a time that is quadratic in the length of default values and names.
+_MAX_LINE = 1 << 14
 
 
 def plain_type(name: str) -> str:
@@ -95,6 +103,8 @@ class Definition:
     types: dict[str, Any]
     ros1: bool
     given: Mapping[str, str] | None = None
+    #: Lines and structures visited by `fields`.
+    visits: int = 0
 
     def lines(self, name: str) -> list[Line]:
         if name not in self.types:
@@ -124,12 +134,15 @@ class Definition:
 
         The last field is of kind "other" if its size is unknown.
         """
+        self.visits = 0
         return tuple(_laid_out(self.name, self._fields(self.name)))
 
     def _fields(self, name: str, prefix: str = "", depth: int = 0) -> Iterator[Field]:
-        if depth > _MAX_DEPTH:
-            raise _too_large(name)
         lines = self.lines(name)
+        # A structure without fields takes time too.
+        self.visits += len(lines) + 1
+        if depth > _MAX_DEPTH or self.visits > _MAX_VISITS:
+            raise _too_large(name)
         if not lines and not self.ros1:
             # rosidl adds a member to a structure without members.
             yield Field(prefix + "structure_needs_at_least_one_member", "number", "u1")
@@ -198,7 +211,13 @@ def _line(name: str, kind: Any) -> Line:  # noqa: ANN401 - rosbags nests tuples
 def _parsed(name: str, text: str) -> Mapping[str, Any]:
     from rosbags.typesys import get_types_from_msg
 
-    text = _CONSTANT.sub("", "\n".join(text.splitlines()).rstrip("= \n") + "\n")
+    if len(text) > _MAX_TEXT:
+        raise DefinitionError(f"it has {len(text)} bytes; expected at most {_MAX_TEXT}")
+    lines = [line for line in text.splitlines() if not _EMPTY_LINE.fullmatch(line)]
+    longest = max(map(len, lines), default=0)
+    if longest > _MAX_LINE:
+        raise DefinitionError(f"a line has {longest} bytes; expected at most {_MAX_LINE}")
+    text = _CONSTANT.sub("", "\n".join(lines).rstrip("= \n") + "\n")
     try:
         return get_types_from_msg(_SEPARATOR.sub("=" * 80 + "\nMSG: ", text), name)
     except Exception as error:
@@ -237,6 +256,12 @@ def read_definitions(paths: Sequence[Path]) -> dict[str, str]:
         if not files:
             raise refused(path, "no .msg files in this folder; expected the definitions of message types")
         for file in files:
+            require_file(file)
+            size = file.stat().st_size
+            if size > _MAX_TEXT:
+                raise refused(
+                    file, f"it has {size} bytes; expected a message definition of at most {_MAX_TEXT}"
+                )
             try:
                 text = file.read_text(encoding="utf-8-sig")
             except (OSError, UnicodeDecodeError) as error:

@@ -14,6 +14,10 @@ from imucal.readers.messages.trees import TIME, Leaf, Parse, is_time
 #: Deepest nesting; types may refer to themselves.
 _MAX_DEPTH = 8
 _MAX_LINES, _MAX_MESSAGES = 4000, 2000
+#: Most fields of a Protobuf message visited, with repeats of nested types: 0.2 s.
+_MAX_FIELDS = 20_000
+#: Largest set of Protobuf descriptors, in bytes: those of Foxglove's messages have at most 20 kB.
+_MAX_DESCRIPTORS = 1 << 20
 _NUMBERS = ("DOUBLE", "FLOAT", "INT32", "INT64", "UINT32", "UINT64", "SINT32", "SINT64", "FIXED32", "FIXED64",
             "SFIXED32", "SFIXED64")  # fmt: skip
 
@@ -67,7 +71,7 @@ def protobuf_parser(channel: Channel) -> Parse:
 
 def protobuf_leaves(channel: Channel) -> list[Leaf]:
     """Return the numbers in a channel's messages."""
-    return list(_protobuf_leaves(_descriptor(channel), "", 0, count()))
+    return list(_protobuf_leaves(_descriptor(channel), "", 0, count(), count()))
 
 
 def _descriptor(channel: Channel) -> Any:  # noqa: ANN401 - the package is an extra
@@ -77,6 +81,9 @@ def _descriptor(channel: Channel) -> Any:  # noqa: ANN401 - the package is an ex
     except ImportError as error:
         msg = "its messages are protobuf, which an extra reads; install imucal-noise[protobuf]"
         raise DefinitionError(msg) from error
+    size = len(channel.schema)
+    if size > _MAX_DESCRIPTORS:
+        raise DefinitionError(f"its protobuf schema has {size} bytes; expected at most {_MAX_DESCRIPTORS}")
     try:
         pool = DescriptorPool()
         for file in FileDescriptorSet.FromString(channel.schema).file:
@@ -87,17 +94,27 @@ def _descriptor(channel: Channel) -> Any:  # noqa: ANN401 - the package is an ex
         raise DefinitionError(f"its protobuf schema can't be read: {type(error).__name__} {error}") from error
 
 
-def _protobuf_leaves(descriptor: Any, prefix: str, depth: int, steps: Iterator[int]) -> Iterable[Leaf]:  # noqa: ANN401
+def _protobuf_leaves(
+    descriptor: Any,  # noqa: ANN401 - of the extra
+    prefix: str,
+    depth: int,
+    messages: Iterator[int],
+    fields: Iterator[int],
+) -> Iterable[Leaf]:
     from google.protobuf.descriptor import FieldDescriptor as Kinds
 
     names = {getattr(Kinds, f"TYPE_{name}"): name.lower() for name in _NUMBERS}
     for field in descriptor.fields:
+        if next(fields) >= _MAX_FIELDS:
+            return
         path = prefix + field.name
-        if field.message_type is not None and is_time([part.name for part in field.message_type.fields]):
+        nested = field.message_type
+        # Listing the names of many fields for each use of a type is slow; a time has two.
+        if nested is not None and len(nested.fields) == 2 and is_time([part.name for part in nested.fields]):
             yield Leaf(f"{path}[0]" if field.is_repeated else path, TIME)
-        elif field.message_type is not None:
-            if depth < _MAX_DEPTH and next(steps) < _MAX_MESSAGES:
+        elif nested is not None:
+            if depth < _MAX_DEPTH and next(messages) < _MAX_MESSAGES:
                 own = f"{path}[0]." if field.is_repeated else f"{path}."
-                yield from _protobuf_leaves(field.message_type, own, depth + 1, steps)
+                yield from _protobuf_leaves(nested, own, depth + 1, messages, fields)
         elif field.type in names:
             yield Leaf(path, names[field.type] + ("[]" if field.is_repeated else ""))

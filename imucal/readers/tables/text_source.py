@@ -20,7 +20,8 @@ from typing import Any, BinaryIO, cast
 
 from imucal.errors import ReadError
 from imucal.findings import Finding
-from imucal.readers.files import refused, refusing
+from imucal.readers.compression import most_unpacked
+from imucal.readers.files import refused, refusing, require_file
 from imucal.readers.read_options import Progress
 from imucal.readers.ways_out import LOGGERS, TEXTS, way_out
 from imucal.recording import LogFileInfo
@@ -55,6 +56,9 @@ _MIN_LINES, _MAX_CELLS = 3, 1000
 _MAX_LINE = 1 << 20
 #: Bytes of a zstd stream unpacked at once: 4 bytes may expand to 128 KiB.
 _PIECE = 1 << 12
+
+#: Programs that unpack a compressed text.
+_UNPACKERS = {"gzip": "gunzip", "zstd": "unzstd", "bzip2": "bunzip2", "xz": "unxz", "lz4": "unlz4"}
 
 #: Errors of a truncated or damaged stream, and packages with their own error classes.
 _DAMAGE = (EOFError, OSError, zlib.error, lzma.LZMAError, ValueError, RuntimeError)
@@ -182,7 +186,8 @@ class TextSource(AbstractContextManager["TextSource"]):
     """An open log of lines.
 
     `head` contains the first complete lines; `whole` is true if they are the entire log. `size` is in bytes,
-    None if unknown; `passed` counts the unpacked bytes so far.
+    None if unknown; `passed` counts the unpacked bytes so far. `packed` is the size of the file that contains
+    a compressed text, in bytes; if it is unknown, the bytes read so far limit the unpacked size.
     """
 
     def __init__(
@@ -191,10 +196,13 @@ class TextSource(AbstractContextManager["TextSource"]):
         raw: BinaryIO,
         *,
         size: int | None = None,
+        packed: int | None = None,
         progress: Progress | None = None,
         most: int | None = None,
     ) -> None:
         self.name, self.size, self.passed = name, size, 0
+        self._packed = size if packed is None else packed
+        self._unpacked = 0
         self.findings: list[Finding] = []
         self._raw, self._progress, self._most = raw, progress, most
         self._ended = False
@@ -296,6 +304,11 @@ class TextSource(AbstractContextManager["TextSource"]):
                 pieces.append(self._take(missing))
                 missing -= len(pieces[-1])
                 self._ended = not pieces[-1]
+                self._unpacked += len(pieces[-1])
+                if self.compression != "none":
+                    self._require_plausible()
+        except ReadError:
+            raise
         except Exception as error:
             if not isinstance(error, _DAMAGE) and type(error).__module__.partition(".")[0] not in _PACKAGES:
                 raise
@@ -304,6 +317,17 @@ class TextSource(AbstractContextManager["TextSource"]):
             text = f"{found}; the part that could be unpacked was read."
             self.findings.append(Finding("warning", "truncated", text))
         return pieces[0] if len(pieces) == 1 else b"".join(pieces)
+
+    def _require_plausible(self) -> None:
+        """Raise ReadError if the text unpacks to more than recordings do."""
+        packed = self._packed
+        if packed is None and isinstance(self._raw, CountedStream):
+            packed = self._raw.size
+        if packed is None or self._unpacked <= most_unpacked(packed):
+            return
+        found = f"the {self.compression} stream unpacks to more than {most_unpacked(packed)} bytes"
+        way = f"no recording is compressed so much, look at it with {_UNPACKERS[self.compression]}"
+        raise refused(self.name, f"{found}; {way}")
 
     def _plain(self, data: bytes) -> bytes:
         """Convert UTF-16 to UTF-8; other encodings have the same digits."""
@@ -327,6 +351,7 @@ def open_text(path: Path, *, progress: Progress | None = None, most: int | None 
     if str(path) == STANDARD_INPUT:
         source = TextSource("standard input", cast("BinaryIO", CountedStream(sys.stdin.buffer)))
     else:
+        require_file(path)
         with ExitStack() as opened:
             with refusing(path, "can't be opened"):
                 # Unbuffered, because blocks are large.

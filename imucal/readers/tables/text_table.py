@@ -19,7 +19,7 @@ from typing import Any, BinaryIO, TypeAlias, cast
 from imucal.errors import ChoiceError, DataError, ImucalError, ReadError, as_one
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
-from imucal.readers.compression import keep_freed_memory
+from imucal.readers.compression import keep_freed_memory, most_unpacked
 from imucal.readers.contents import LogContents
 from imucal.readers.files import first_bytes, refused
 from imucal.readers.read_options import ReadOptions
@@ -271,6 +271,8 @@ def _columns(reader: BlockReader, plan: TablePlan) -> list[SensorColumns]:
 
 _ZIP = b"PK\x03\x04"
 _SUFFIXES = (".csv", ".tsv", ".txt")
+#: Most text tables of a zip or folder: an app writes one per sensor; reading the head of one takes 1 ms.
+_MAX_TABLES = 1000
 
 #: Table name -> unpacked size, and function that opens it.
 _Members: TypeAlias = dict[str, tuple[int, Callable[[], TextSource]]]
@@ -289,22 +291,48 @@ def is_set(path: Path) -> bool:
 def _members(path: Path) -> Iterator[_Members]:
     if path.is_dir():
         entries = sorted(entry for entry in path.iterdir() if entry.suffix.lower() in _SUFFIXES)
-        yield {entry.name: (entry.stat().st_size, partial(open_text, entry)) for entry in entries}
+        _require_few(path, len(entries))
+        yield {entry.name: (_size(entry), partial(open_text, entry)) for entry in entries}
         return
+    packed = path.stat().st_size
 
     def opened(name: str) -> TextSource:
-        return TextSource(f"{path}:{name}", cast("BinaryIO", archive.open(name)))
+        return TextSource(f"{path}:{name}", cast("BinaryIO", archive.open(name)), packed=packed)
 
     try:
         with zipfile.ZipFile(path) as archive:
-            yield {
-                info.filename: (info.file_size, partial(opened, info.filename))
+            tables = [
+                info
                 for info in archive.infolist()
                 if info.filename.lower().endswith(_SUFFIXES) and not info.filename.startswith("__MACOSX")
-            }
+            ]
+            _require_few(path, len(tables))
+            declared = sum(info.file_size for info in tables)
+            if declared > most_unpacked(packed):
+                found = f"its {packed} bytes declare {declared} bytes of tables"
+                raise refused(
+                    path, f"{found}; no recording is compressed so much, unpack it and look at them"
+                )
+            yield {info.filename: (info.file_size, partial(opened, info.filename)) for info in tables}
     except (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError) as error:
         text = f"the zip can't be read: {error}; expected the export of a phone's app"
         raise refused(path, text) from error
+
+
+def _require_few(path: Path, tables: int) -> None:
+    if tables > _MAX_TABLES:
+        found = f"it contains {tables} tables of text"
+        raise refused(
+            path, f"{found}; expected one per sensor, at most {_MAX_TABLES}: give the files of the IMU"
+        )
+
+
+def _size(entry: Path) -> int:
+    """Return the size of a file in bytes; 0 for a broken link, which is refused when it is opened."""
+    try:
+        return entry.stat().st_size
+    except OSError:
+        return 0
 
 
 def _read_set(path: Path, options: ReadOptions, *, head: bool = False) -> Recording:

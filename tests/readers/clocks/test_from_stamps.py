@@ -7,7 +7,7 @@ import numpy.testing as npt
 import pytest
 
 from imucal.arrays import BLOCK, FloatArray, IntArray
-from imucal.errors import DataError
+from imucal.errors import ChoiceError, DataError
 from imucal.readers.clocks import repeats
 from imucal.readers.clocks.from_stamps import ClockReading, clock_from_stamps
 
@@ -321,3 +321,24 @@ def test_a_repeated_sample_has_the_stamp_and_all_values_of_its_predecessor() -> 
     again = repeats(long, [values])
     assert again is not None
     assert np.flatnonzero(again).tolist() == [BLOCK]
+
+
+@pytest.mark.parametrize("unit", [10**9, 10**6])
+def test_stamps_that_most_samples_share_give_no_clock(unit: int) -> None:
+    """Times since 1970 as float32 have steps of 128 s, in s or in ms: only 3 stamps for 24 000 samples."""
+    seconds = 1.7e9 + np.arange(24_000) / 100
+    rounded = (seconds * 1e9 / unit).astype(np.float32).astype(np.float64)
+    stamps = (rounded * unit).astype(np.int64)
+    distinct = np.unique(stamps).size
+    with pytest.raises(ChoiceError) as caught:
+        clock_from_stamps(stamps, source="column t")
+    step = np.ptp(stamps) / 1e9 / (distinct - 1)
+    assert str(caught.value) == (
+        f"the 24000 samples have only {distinct} different time stamps (column t), {step:.4g} s apart, which "
+        "is the resolution of float32; expected one per sample; save the times as float64, or give the "
+        "sampling rate"
+    )
+    reading = clock_from_stamps(stamps, source="column t", rate_hz=100.0)
+    assert (reading.clock.rate_hz, reading.clock.n, reading.order) == (100.0, 24_000, None)
+    assert len(reading.clock.segments) == 1
+    assert codes(reading) == ["time-unused"]

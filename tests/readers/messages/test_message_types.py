@@ -1,14 +1,17 @@
 """Detection of the IMU columns of a message: by name, at any depth, several in one message."""
 
+import time
 from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from imucal.errors import ChoiceError
+from imucal.errors import ChoiceError, ReadError
 from imucal.readers.containers import Channel
-from imucal.readers.messages.definitions import DefinitionError, defined
+from imucal.readers.messages.definitions import DefinitionError, defined, read_definitions
+from imucal.readers.messages.schemas import protobuf_leaves
 from imucal.readers.messages.topics import Topic, find_topics, is_command, plan_of
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.plan import SensorPlan, TablePlan
@@ -289,3 +292,79 @@ def test_a_topic_name_can_identify_commands(topic: str, *, command: bool) -> Non
     assert found(twist, name="geometry_msgs/Twist", topic=topic).sensors == (() if command else (GYRO,))
     assert found(twist, name="geometry_msgs/Twist", topic=topic, topics=(topic,)).sensors == (GYRO,)
     assert found("float64[3] gyro", name="pkg/Imu", topic=topic).sensors == (GYRO,)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("float64 x\n" * 30_000, r"^it has 300000 bytes; expected at most 262144$"),
+        ("float64[] x [" + "1," * 50_000 + "]", r"^a line has 100014 bytes; expected at most 16384$"),
+        ("a/" * 50_000 + " x", r"^a line has 100002 bytes; expected at most 16384$"),
+        # Structures without fields have no end by their fields.
+        (
+            "pkg/B[20000] b\n===\nMSG: pkg/B\npkg/C[20000] c\n===\nMSG: pkg/C\n",
+            "too many fields",
+        ),
+    ],
+)
+def test_a_definition_that_takes_long_is_refused(text: str, expected: str) -> None:
+    start = time.monotonic()
+    with pytest.raises(DefinitionError, match=expected):
+        defined("pkg/M", text, ros1=True).fields()
+    assert time.monotonic() - start < 10
+
+
+@pytest.mark.parametrize("line", ["", "  ", "#", "\t# a comment"])
+def test_many_lines_without_a_field_are_removed_first(line: str) -> None:
+    """Rosbags takes 8 s for 100 000 comments."""
+    start = time.monotonic()
+    fields = defined("pkg/M", "float64 x\n" + f"{line}\n" * 20_000 + "float64 y", ros1=True).fields()
+    assert [field.path for field in fields] == ["x", "y"]
+    assert time.monotonic() - start < 5
+
+
+def test_a_definition_is_a_regular_file_of_usual_size(tmp_path: Path) -> None:
+    """A link to a device has no end."""
+    path = tmp_path / "Imu.msg"
+    path.symlink_to("/dev/zero")
+    with pytest.raises(ReadError, match=r"Imu\.msg: a device; expected a regular file"):
+        read_definitions([path])
+    large = tmp_path / "Large.msg"
+    large.write_text("float64 x\n" * 30_000)
+    with pytest.raises(ReadError, match=r"Large\.msg: it has 300000 bytes; expected a message definition"):
+        read_definitions([large])
+
+
+def _wide(number: int) -> bytes:
+    """Return descriptors of a message with `number` fields of a message that contains as many of itself."""
+    from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
+
+    descriptors = FileDescriptorSet()
+    file = descriptors.file.add(name="wide", syntax="proto3")
+    for name in ("A", "B"):
+        kind = file.message_type.add(name=name)
+        for i in range(number):
+            kind.field.add(
+                name=f"f{i}",
+                number=i + 1,
+                type=FieldDescriptorProto.TYPE_MESSAGE,
+                label=FieldDescriptorProto.LABEL_OPTIONAL,
+                type_name=".B",
+            )
+    return bytes(descriptors.SerializeToString())
+
+
+def test_protobuf_descriptors_have_a_limit() -> None:
+    """Nested types of 3000 fields each take no longer than a second, and more than 1 MiB is refused."""
+    pytest.importorskip("google.protobuf")
+
+    def channel(schema: bytes) -> Any:  # noqa: ANN401 - a part of a channel
+        return SimpleNamespace(schema=schema, type="A")
+
+    start = time.monotonic()
+    assert protobuf_leaves(channel(_wide(3000))) == []
+    assert time.monotonic() - start < 5
+    with pytest.raises(
+        DefinitionError, match=r"its protobuf schema has 1048577 bytes; expected at most 1048576"
+    ):
+        protobuf_leaves(channel(bytes((1 << 20) + 1)))

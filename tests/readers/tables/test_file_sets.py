@@ -1,5 +1,6 @@
 """Files that are read together: their selection, and how they become one recording."""
 
+import os
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 
 from imucal.arrays import FloatArray
 from imucal.clock import Clock
-from imucal.errors import ChoiceError
+from imucal.errors import ChoiceError, ReadError
 from imucal.findings import Finding
 from imucal.readers import describe, read
 from imucal.readers.tables.text_table import merge
@@ -152,3 +153,42 @@ def test_columns_identify_the_sensor_of_a_file_without_a_sensor_name(tmp_path: P
         ChoiceError, match=r"no topic carries a gyroscope or an accelerometer; found\n  notes"
     ):
         read(path)
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_many_tables_are_refused_with_their_number(packed: bool, tmp_path: Path) -> None:  # noqa: FBT001
+    """Reading the start of each takes a millisecond."""
+    path = written(tmp_path, {f"{i}.csv": "1,2,3\n" for i in range(1001)}, packed=packed)
+    for read_or_describe in (read, describe):
+        with pytest.raises(ReadError, match="it contains 1001 tables of text; expected one per sensor"):
+            read_or_describe(path)
+
+
+def test_a_zip_that_declares_too_large_tables_is_refused(tmp_path: Path) -> None:
+    """The declared sizes are compared before a table is read: 70 MB of one row in 70 kB."""
+    path = tmp_path / "log.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("Gyroscope.csv", "time,x,y,z\n" + "1,2,3,4\n" * 9_000_000)
+    with pytest.raises(ReadError, match=r"its \d+ bytes declare 72000011 bytes of tables; no recording"):
+        read(path)
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device", "link to a pipe", "broken link", "folder"])
+def test_a_table_that_is_no_file_is_passed_over(kind: str, tmp_path: Path) -> None:
+    """Reading a pipe or a device in the folder of an app would never end."""
+    folder = Path(written(tmp_path, {"Gyroscope.csv": table(truth().gyro)}, packed=False))
+    other = folder / "Magnetometer.csv"
+    if kind == "pipe":
+        os.mkfifo(other)
+    elif kind == "device":
+        other.symlink_to("/dev/zero")
+    elif kind == "link to a pipe":
+        os.mkfifo(tmp_path / "pipe")
+        other.symlink_to(tmp_path / "pipe")
+    elif kind == "broken link":
+        other.symlink_to(tmp_path / "missing.csv")
+    else:
+        other.mkdir()
+    recording = read(folder)
+    assert {series.sensor for series in recording.series} == {Sensor.GYROSCOPE}
+    assert recording.source.path == str(folder)

@@ -4,13 +4,16 @@ import bz2
 import gzip
 import io
 import lzma
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
+from typing import BinaryIO, cast
 
 import pytest
 
 from imucal.errors import ReadError
 from imucal.readers.tables.text_source import (
+    CountedStream,
     TextSource,
     compression_of,
     find_encoding,
@@ -155,3 +158,31 @@ def test_blocks_contain_the_complete_text(data: bytes, tmp_path: Path) -> None:
     with open_text(path) as source:
         assert b"".join(source.blocks()) == b"a\nb\nc\nd"
     assert b"".join(opened(data, None).blocks()) == b"a\nb\nc\nd"
+
+
+LINES = b"t,gx,gy,gz\n" + b"".join(b"%d,1,2,3\n" % i for i in range(100))
+#: 1.4 MB of repeated rows, several times as much as a text may unpack to.
+REPEATED = b"100,1,2,3\n" * 140_000
+
+
+@pytest.mark.parametrize("pack", [bz2.compress, lzma.compress])
+@pytest.mark.parametrize("counted", [False, True])
+def test_a_text_that_unpacks_to_gigabytes_is_refused(
+    pack: Callable[[bytes], bytes],
+    counted: bool,  # noqa: FBT001
+) -> None:
+    """Streams in a row unpack to 1.4 GB; the limit applies to a file, and to bytes of standard input."""
+    data = pack(LINES) + 1000 * pack(REPEATED)
+    raw = io.BytesIO(data)
+    stream = cast("BinaryIO", CountedStream(raw)) if counted else raw
+    source = TextSource("log", stream, size=None if counted else len(data))
+    with pytest.raises(ReadError, match=r"^log: the (xz|bzip2) stream unpacks to more than \d+ bytes; "):
+        deque(source.blocks(), maxlen=0)
+    assert source.passed < 100e6
+
+
+def test_a_compressed_text_of_usual_ratio_is_read_completely() -> None:
+    """The limit does not apply to 64 MiB or less, nor below a ratio of 100."""
+    data = gzip.compress(LINES + 4 * REPEATED)
+    source = TextSource("log", io.BytesIO(data), size=len(data))
+    assert sum(map(len, source.blocks())) == len(LINES) + 4 * len(REPEATED)
