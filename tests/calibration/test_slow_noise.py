@@ -56,7 +56,7 @@ def hits(
             fit = fit_accelerometer(rests.means, covariance(rests, None), gravity=GRAVITY)
             half_widths = 1.96 * np.sqrt(np.diag(fit.covariance))
             inside = np.abs(fit.theta - rests.true) < half_widths
-            found.append(np.mean(inside[fit.free]))
+            found.append(float(np.mean(inside[fit.free])))
             continue
         result = estimate(rests, covariance(rests, base), checked=base is not None)
         interval = result.mixture.interval(np.eye(9)[:, result.fit.free])
