@@ -251,9 +251,10 @@ def covered(theta: FloatArray, intervals: FloatArray, true: FloatArray) -> BoolA
     return np.asarray((theta + intervals[:, 0] <= true) & (true <= theta + intervals[:, 1]))
 
 
-def within_binomial(hits: BoolArray, low: float, high: float) -> bool:
+def within_binomial(hits: BoolArray | FloatArray, low: float, high: float) -> bool:
     """Return whether a coverage lies between two limits, give or take three deviations of its draws.
 
+    `hits` has a row for each draw: hits, or one share of them.
     Parameters of one draw are correlated: draws count, not parameters.
     """
     per_draw = hits.mean(axis=1)
