@@ -479,7 +479,9 @@ def _without_held(work: RecordingBuilder, columns: SensorColumns) -> SensorColum
     sent_twice = int(np.count_nonzero((steps == 0) & ~keep[1:]))
     irregular, own_irregular = _irregular(steps), _irregular(own_steps)
     slower = float(np.median(own_steps)) >= _SLOWER * float(np.median(steps))
-    few_sent_twice = 0 < sent_twice <= _MAX_REPEATED * n
+    # `_sent_twice` drops messages that were recorded twice.
+    is_message = columns.compared is not None
+    few_sent_twice = sent_twice > 0 and (is_message or sent_twice <= _MAX_REPEATED * n)
     more_regular = own_irregular < irregular
     as_regular = own_irregular <= irregular + _BY_CHANCE * remaining
     if few_sent_twice or not (more_regular or (slower and as_regular)):
