@@ -456,13 +456,8 @@ def _without_held(work: RecordingBuilder, columns: SensorColumns) -> SensorColum
     axes, n = columns.axes, columns.axes[0].size
     if len(axes) < 2 or n <= _MIN_REMAINING or work.options.rate_hz is not None:
         return columns
-    some = [np.diff(axis[:_LOOKED_AT]) == 0 for axis in axes]
-    shares = [float(repeated.mean()) for repeated in some]
-    together, apart = float(np.all(some, axis=0).mean()), float(np.prod(shares))
-    # Coarse samples repeat by chance, on each axis alone.
-    if together < _MIN_HELD or together - apart <= 0.5 * (min(shares) - apart):
-        return columns
-    stamps = _stamps_alone(work, columns)
+    together = _share_held(axes)
+    stamps = _stamps_alone(work, columns) if together else None
     if stamps is None or (1 - together) * n < _MIN_REMAINING:
         return columns
 
@@ -494,6 +489,16 @@ def _without_held(work: RecordingBuilder, columns: SensorColumns) -> SensorColum
     work.findings.append(Finding("info", "held-samples", text, axis=sensor.short))
     mask = blake2b(columns.rows_left + keep.tobytes()).digest()
     return replace(columns.rows(keep, work.room), rows_left=mask)
+
+
+def _share_held(axes: Sequence[FloatArray]) -> float:
+    """Return the share of samples that repeat the previous one on all axes; 0 if chance explains it."""
+    some = [np.diff(axis[:_LOOKED_AT]) == 0 for axis in axes]
+    shares = [float(repeated.mean()) for repeated in some]
+    together, apart = float(np.all(some, axis=0).mean()), float(np.prod(shares))
+    # Coarse samples repeat by chance, on each axis alone.
+    by_chance = together - apart <= 0.5 * (min(shares) - apart)
+    return 0.0 if together < _MIN_HELD or by_chance else together
 
 
 def _irregular(steps: IntArray) -> int:
