@@ -185,13 +185,7 @@ def _noise_rows(
 ) -> Iterator[Row]:
     """Judge the noise parameters; `own` are the keys of the exporter's own file."""
     spelled = {each.name: each.written[0] for each in own if each.written}
-    there = [
-        (key, i, each)
-        for key in keys
-        for i, name in enumerate(_names(key))
-        for each in settings
-        if each.is_called(name)
-    ]
+    there = _settings_of(keys, settings)
     judged = list[tuple[Setting, _Wanted, str]]()
     for key, i, setting in there:
         short = key.sensor.short
@@ -207,6 +201,17 @@ def _noise_rows(
     for setting, wanted, line in judged:
         same_sensor = [(other, s) for s, other, _ in judged if other.key.sensor is wanted.key.sensor]
         yield _noise_row(setting, wanted, line, shared or _shared_mistake(same_sensor))
+
+
+def _settings_of(keys: Sequence[Key], settings: Sequence[Setting]) -> list[tuple[Key, int, Setting]]:
+    """Return each key with the index of its axis and its setting in the file."""
+    return [
+        (key, i, each)
+        for key in keys
+        for i, name in enumerate(_names(key))
+        for each in settings
+        if each.is_called(name)
+    ]
 
 
 def _shared_mistake(numbers: Sequence[tuple["_Wanted", Setting]]) -> str:

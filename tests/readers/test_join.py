@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imucal.errors import ChoiceError
+from imucal.errors import ArgumentError, ChoiceError
 from imucal.readers import read
 from imucal.readers.split import series_of
 from imucal.recording import Recording
@@ -300,3 +300,11 @@ def test_info_describes_the_logs_of_a_folder_one_by_one(tmp_path: Path) -> None:
     assert done.stdout.count("/imu/data  sensor_msgs/msg/Imu") == 2
     assert "200 Hz" not in done.stdout
     assert "2 logs without a metadata.yaml" in done.stdout
+
+
+def test_standard_input_is_refused_among_several_logs(tmp_path: Path) -> None:
+    """Several logs are opened twice, and standard input can be read only once."""
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,gx,gy,gz\n" + "0,1,2,3\n" * 9, encoding="utf-8")
+    with pytest.raises(ArgumentError, match=r"standard input .-. is one of 2 logs; expected it alone"):
+        read(path, "-")

@@ -137,6 +137,14 @@ def jump_notes(stamps: IntArray, jumps: dict[int, int]) -> list[Finding]:
     return [Finding("warning", "clock-jump", text)]
 
 
+def rate_notes(measured: float, given: float | None) -> list[Finding]:
+    """Return a finding if the given rate differs from the measured one, both in Hz."""
+    if given is None or abs(measured / given - 1) <= 0.01:
+        return []
+    text = f"The given rate, {given:g} Hz, differs from the rate of the time stamps, {measured:.6g} Hz."
+    return [Finding("warning", "rate-given", text)]
+
+
 def repeats(
     stamps: IntArray, rows: Sequence[NDArray[Any]] | FloatArray, room: Room | None = None
 ) -> BoolArray | None:
@@ -342,12 +350,7 @@ class _Stamps:
         notes += jitter_notes(period, jitter, stamps.size)
         notes += jump_notes(stamps, jumps)
         measured = 1e9 / period.tau_ns
-        if rate_hz is not None and abs(measured / rate_hz - 1) > 0.01:
-            text = (
-                f"The given rate, {rate_hz:g} Hz, differs from the rate of the time stamps, {measured:.6g} "
-                "Hz."
-            )
-            notes.append(Finding("warning", "rate-given", text))
+        notes += rate_notes(measured, rate_hz)
         clock = Clock(
             source=self.source,
             rate_hz=rate_hz or measured,

@@ -313,6 +313,17 @@ def _counted_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReadi
     return replace(reading, clock=replace(reading.clock, start_ns=None, jitter_s=None))
 
 
+#: Smallest share of samples that repeat the previous one on all axes for them to be dropped.
+_MIN_HELD = 0.005
+#: Fewest samples that must remain.
+_MIN_REMAINING = 64
+#: A step that differs from the median by this share is irregular; jitter of usual drivers is smaller.
+_IRREGULAR = 0.25
+#: Share of irregular steps that may be added, by samples that are equal by chance.
+_BY_CHANCE = 1e-3
+#: Ratio of the median steps from which every sample was logged more than once.
+_SLOWER = 1.5
+
 #: Operating temperatures of electronics, in degrees Celsius; values outside are raw counts.
 _TEMPERATURES = (-80.0, 200.0)
 #: The median is taken of at least this many values.
@@ -328,7 +339,7 @@ def assemble(
     """
     for what, how in chain.from_iterable(plan.decisions for plan in plans):
         work.decide(what, how)
-    kept = [_of_sensor(work, columns) for columns in sensors]
+    kept = [_without_held(work, _of_sensor(work, columns)) for columns in sensors]
     lacking: list[ChoiceError] = []
     both = list(zip(kept, _clocks(work, kept, lacking), strict=True))
     try:
@@ -453,6 +464,77 @@ def _of_sensor(work: RecordingBuilder, columns: SensorColumns) -> SensorColumns:
     if count(keep) == n:
         return columns
     return replace(columns.rows(keep, room), rows_left=blake2b(keep.data).digest())
+
+
+def _without_held(work: RecordingBuilder, columns: SensorColumns) -> SensorColumns:
+    """Drop samples that repeat the previous one on all axes, if the others are at least as regular in time.
+
+    A topic or table with two sensors repeats the last sample of the slower one.
+    """
+    axes, n = columns.axes, columns.axes[0].size
+    if len(axes) < 2 or n <= _MIN_REMAINING or work.options.rate_hz is not None:
+        return columns
+    together = _share_held(axes)
+    stamps = _stamps_alone(work, columns) if together else None
+    if stamps is None or (1 - together) * n < _MIN_REMAINING:
+        return columns
+
+    def is_new(part: slice) -> BoolArray:
+        first = max(part.start, 1)
+        new = np.ones(part.stop - part.start, np.bool_)
+        changed = [axis[first : part.stop] != axis[first - 1 : part.stop - 1] for axis in axes]
+        new[first - part.start :] = np.any(changed, axis=0)
+        return new
+
+    keep = work.room.made(n, np.bool_, is_new, *axes)
+    remaining = count(keep)
+    steps, own_steps = np.diff(stamps), np.diff(stamps[keep])
+    sent_twice = int(np.count_nonzero((steps == 0) & ~keep[1:]))
+    irregular, own_irregular = _irregular(steps), _irregular(own_steps)
+    slower = float(np.median(own_steps)) >= _SLOWER * float(np.median(steps))
+    # `_sent_twice` drops messages that were recorded twice.
+    is_message = columns.compared is not None
+    few_sent_twice = sent_twice > 0 and (is_message or sent_twice <= _MAX_REPEATED * n)
+    more_regular = own_irregular < irregular
+    as_regular = own_irregular <= irregular + _BY_CHANCE * remaining
+    if few_sent_twice or not (more_regular or (slower and as_regular)):
+        return columns
+    sensor = columns.plan.triad.sensor
+    text = (
+        f"{n - remaining} of {n} {sensor} samples repeat the previous one on all axes, and the others are "
+        "regular in time: the sensor is slower than its log. The repeats were dropped."
+    )
+    work.findings.append(Finding("info", "held-samples", text, axis=sensor.short))
+    mask = blake2b(columns.rows_left + keep.tobytes()).digest()
+    return replace(columns.rows(keep, work.room), rows_left=mask)
+
+
+def _share_held(axes: Sequence[FloatArray]) -> float:
+    """Return the share of samples that repeat the previous one on all axes; 0 if chance explains it."""
+    some = [np.diff(axis[:_LOOKED_AT]) == 0 for axis in axes]
+    shares = [float(repeated.mean()) for repeated in some]
+    together, apart = float(np.all(some, axis=0).mean()), float(np.prod(shares))
+    # Coarse samples repeat by chance, on each axis alone.
+    by_chance = together - apart <= 0.5 * (min(shares) - apart)
+    return 0.0 if together < _MIN_HELD or by_chance else together
+
+
+def _irregular(steps: IntArray) -> int:
+    """Return the number of steps that differ from the median."""
+    usual = float(np.median(steps))
+    return int(np.count_nonzero(np.abs(steps - usual) > _IRREGULAR * usual))
+
+
+def _stamps_alone(work: RecordingBuilder, columns: SensorColumns) -> IntArray | None:
+    """Return the stamps of a sensor in ns without findings; None if it has none, or if they are ambiguous."""
+    silent = replace(work, decisions=[], findings=[])
+    plan, sensor = columns.plan, columns.plan.triad.sensor
+    if plan.time is None or plan.time.kind == "counter":
+        return None
+    try:
+        return stamps_of(silent, plan.time, columns.time, sensor)
+    except ChoiceError:
+        return None
 
 
 def _add_temperature(work: RecordingBuilder, column: FloatArray, reading: ClockReading) -> None:

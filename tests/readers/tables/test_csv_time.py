@@ -12,7 +12,7 @@ from imucal.readers.store import Room
 from imucal.readers.tables.dates import parse_texts
 from imucal.readers.tables.stamps import infer_time_unit, to_ns, unwrapped
 from imucal.readers.tables.text_table import read
-from imucal.recording import Recording
+from imucal.recording import Recording, Sensor
 from tests.readers.tables.texts import EPOCH, N, lines, rostopic, truth, xyz
 
 AXES = "gx (rad/s),gy (rad/s),gz (rad/s)"
@@ -299,18 +299,57 @@ def test_repeated_rows_are_dropped(tmp_path: Path) -> None:
     npt.assert_array_equal(recording.series[0].samples, truth().gyro[:, 0])
 
 
-def test_held_samples_are_kept_with_a_warning(tmp_path: Path) -> None:
-    """The log is written faster than the sensor samples, so it contains every value twice."""
+@pytest.mark.parametrize("times", [2, 4])
+def test_samples_that_the_log_repeats_are_dropped(times: int, tmp_path: Path) -> None:
+    """The log is written faster than the sensor samples; without its repeats it has the sensor's own rate."""
     path = written(tmp_path, "time_ms", [10 * i for i in range(N)])
-    rows = path.read_text(encoding="utf-8").rstrip("\n").split("\n")
-    path.write_text("\n".join([rows[0], *(row for row in rows[1:] for _ in range(2)), ""]), encoding="utf-8")
+    head, *rows = path.read_text(encoding="utf-8").rstrip("\n").split("\n")
+    lines = []
+    for place, row in enumerate(rows):
+        values = row.partition(",")[2]
+        lines += [f"{10 * place + 10 * part / times},{values}" for part in range(times)]
+    path.write_text("\n".join([head, *lines, ""]), encoding="utf-8")
     recording = read(path, ReadOptions())
-    assert recording.series[0].n == 2 * N
-    finding = next(f for f in recording.findings if f.code == "held-samples")
-    assert finding.text == (
-        "50% of the rows of the gyroscope repeat the previous time stamp and values: "
-        "the log was written faster than the sensor was read."
-    )
+    assert recording.series[0].n == N
+    assert recording.series[0].rate_hz == pytest.approx(100)
+    found = [finding for finding in recording.findings if finding.code == "held-samples"]
+    assert [(finding.level, finding.axis) for finding in found] == [("info", "gyro")]
+    assert found[0].text.startswith(f"{(times - 1) * N} of {times * N} gyroscope samples repeat the previous")
+
+
+def test_repeats_of_an_irregular_sensor_are_kept(tmp_path: Path) -> None:
+    """Without a fifth of the rows, at random, the others are irregular: nothing shows their own times."""
+    path = written(tmp_path, "time_ms", [10 * i for i in range(N)])
+    head, *rows = path.read_text(encoding="utf-8").rstrip("\n").split("\n")
+    values = [row.partition(",")[2] for row in rows]
+    for place in np.flatnonzero(np.random.default_rng(3).random(N - 1) < 0.2) + 1:
+        values[place] = values[place - 1]
+    lines = [f"{10 * place},{value}" for place, value in enumerate(values)]
+    path.write_text("\n".join([head, *lines, ""]), encoding="utf-8")
+    recording = read(path, ReadOptions())
+    assert recording.series[0].n == N
+    assert "held-samples" not in {finding.code for finding in recording.findings}
+
+
+def test_each_of_two_sensors_in_a_table_has_its_own_rate(tmp_path: Path) -> None:
+    """The rows of one sensor repeat the last sample of the other, at 200 Hz and 62.5 Hz."""
+    source = np.random.default_rng(8)
+    times = [(i / 200, 0) for i in range(4000)] + [(i / 62.5 + 0.0007, 1) for i in range(1250)]
+    gyro = 1e-2 * source.standard_normal((4000, 3))
+    accel = 1e-2 * source.standard_normal((1250, 3)) + 9.81 / 3**0.5
+    values = [gyro, accel]
+    places = [0, 0]
+    lines = ["time_s,gx (rad/s),gy (rad/s),gz (rad/s),ax (m/s^2),ay (m/s^2),az (m/s^2)"]
+    for seconds, sensor in sorted(times):
+        places[sensor] = round(seconds * (62.5 if sensor else 200.0) - 0.04 * sensor)
+        row = (seconds, *values[0][places[0]], *values[1][places[1]])
+        lines.append(",".join(f"{value:.9f}" for value in row))
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    recording = read(path, ReadOptions())
+    rates = {series.sensor: series.rate_hz for series in recording.series}
+    assert rates == pytest.approx({Sensor.GYROSCOPE: 200.0, Sensor.ACCELEROMETER: 62.5}, rel=1e-3)
+    assert not [finding for finding in recording.findings if finding.level == "warning"]
 
 
 def test_stamps_with_too_few_digits_are_refused_and_a_rate_replaces_them(tmp_path: Path) -> None:
