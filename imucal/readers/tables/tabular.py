@@ -319,7 +319,7 @@ _MIN_HELD = 0.005
 _MIN_REMAINING = 64
 #: A step that differs from the median by this share is irregular; jitter of usual drivers is smaller.
 _IRREGULAR = 0.25
-#: Share of irregular steps that may be added, by samples that are equal by chance.
+#: Largest share of irregular steps between the remaining samples: some samples are equal by chance.
 _BY_CHANCE = 1e-3
 #: Ratio of the median steps from which every sample was logged more than once.
 _SLOWER = 1.5
@@ -495,9 +495,8 @@ def _without_held(work: RecordingBuilder, columns: SensorColumns) -> SensorColum
     # `_sent_twice` drops messages that were recorded twice.
     is_message = columns.compared is not None
     few_sent_twice = sent_twice > 0 and (is_message or sent_twice <= _MAX_REPEATED * n)
-    more_regular = own_irregular < irregular
-    as_regular = own_irregular <= irregular + _BY_CHANCE * remaining
-    if few_sent_twice or not (more_regular or (slower and as_regular)):
+    regular = own_irregular <= _BY_CHANCE * remaining
+    if few_sent_twice or not regular or not (slower or own_irregular < irregular):
         return columns
     sensor = columns.plan.triad.sensor
     text = (

@@ -100,7 +100,7 @@ def test_a_path_without_definitions_is_refused(tmp_path: Path) -> None:
     empty.mkdir()
     with pytest.raises(ReadError, match=r"empty: no \.msg files in this folder"):
         read(path, message_definition=empty)
-    with pytest.raises(ReadError, match=r"none\.msg: can't be read"):
+    with pytest.raises(ReadError, match=r"none\.msg: can't be opened"):
         read(path, message_definition=tmp_path / "none.msg")
     (tmp_path / "Board.msg").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ReadError, match=r"Board\.msg: can't be read: .*; expected a message definition"):

@@ -348,7 +348,7 @@ def test_units_and_scales_of_messages_can_be_given(tmp_path: Path) -> None:
     npt.assert_allclose(axes(recording)[:, :3], np.deg2rad(TRUTH.gyro), rtol=1e-15)
     npt.assert_array_equal(axes(recording)[:, 3:], TRUTH.accel * 0.5)
     with pytest.raises(
-        ChoiceError, match="topic /imu/data: 'furlong' is not a unit of the gyroscope; expected one of"
+        ChoiceError, match="topic /imu/data: 'furlong' is not a unit of the gyroscope; expected one such as"
     ):
         read(path, gyro_unit="furlong")
 
