@@ -103,7 +103,9 @@ def _axis(series: AxisSeries, how: dict[str, Any], *, level: float, spectrum: bo
     from imucal import allan
 
     if series.n and not series.usable.any():
-        raise DataError(f"{series.name}: no finite samples among {series.n}")
+        raise DataError(
+            f"{series.name}: no usable samples among {series.n}: all are NaN, infinite or absurdly large"
+        )
     curve = allan.allan_curve(series, **how)
     low, high = curve.confidence_interval(level)
     axis: dict[str, Any] = {

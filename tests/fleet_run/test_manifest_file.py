@@ -47,7 +47,10 @@ def test_labels_and_options_are_read(tmp_path: Path) -> None:
         ),
         ("path,rate_hz\na,0\n", ":2: column 'rate_hz' is '0', expected a number above 0"),
         ("path,gyro_unit\na,g\n", ":2: column 'gyro_unit' is 'g', expected a unit of the gyroscope"),
-        ("path,time_unit\na,h\n", ":2: column 'time_unit' is 'h', expected s, ms, us or ns"),
+        (
+            "path,time_unit\na,week\n",
+            ":2: column 'time_unit' is 'week', expected a unit such as s, ms, us, ns, min or 100ns",
+        ),
         ("path,strict\na,maybe\n", ":2: column 'strict' is 'maybe', expected true or false"),
         ("path,skip_s\na,-1\n", ":2: column 'skip_s' is '-1', expected a time in s, 0 or more"),
         ("path,take_s\na,inf\n", ":2: column 'take_s' is 'inf', expected a number"),
