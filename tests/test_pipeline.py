@@ -92,7 +92,8 @@ def test_a_recording_without_any_usable_axis_is_an_error() -> None:
     with pytest.raises(DataError) as caught:
         characterize(recording_of(*dead))
     assert str(caught.value) == (
-        "made.csv: no axis can be analysed: gyro_x, gyro_y: no usable samples among 64: all are NaN, infinite or absurdly large"
+        "made.csv: no axis can be analysed: gyro_x, gyro_y: no usable samples among 64: "
+        "all are NaN, infinite or absurdly large"
     )
 
 
