@@ -98,15 +98,15 @@ def terminated(bench: Bench) -> str:
 
 
 def log_without_end(bench: Bench) -> str:
-    """Read an endless log: its process ends, and the run continues."""
+    """Read an endless device in place of a log: it is refused at once."""
     (bench.folder / "endless").mkdir()
     hanging_log(bench.folder / "endless" / "hang.csv")
-    end = bench.run("endless-store", *HERE, "--timeout", "3", logs="endless")
+    end = bench.run("endless-store", *HERE, "--timeout", "30", logs="endless")
     assert end.code == 3, end.err
-    message = "endless/hang.csv: it took more than 3 s; give it more time, or a part of the log"
+    message = "endless/hang.csv: a device; expected a regular file, copy the data to one"
     assert message in end.err, end.err
-    assert bench.store("endless-store").logs()["status"].to_list() == ["timeout"]
-    return f"exit {end.code}: timeout"
+    assert bench.store("endless-store").logs()["status"].to_list() == ["unreadable"]
+    return f"exit {end.code}: refused"
 
 
 def log_without_measure(bench: Bench, arguments: tuple[str, ...] = HERE) -> str:
