@@ -39,7 +39,7 @@ _PART = 1e-3
 #: Limits of Gauss-Newton: steps, last step in standard deviations, halvings of a step.
 _STEPS, _SMALL_STEP, _HALVINGS = 30, 1e-7, 20
 #: Standard deviation of a misalignment before any rest, in rad: 0.5 to 1° is usual in a consumer IMU.
-_MISALIGNMENT = 0.015
+MISALIGNMENT = 0.015
 #: A misalignment is not observable if its deviation is more than this share of the one before any rest.
 #: With larger shares, one of 14 logs of six faces had larger errors than a fit without misalignment.
 _PRIOR_DOMINATES = 0.4
@@ -296,7 +296,7 @@ def _without(C: FloatArray, unseen: BoolArray) -> FloatArray:
 
 def _prior_deviation(C: FloatArray) -> FloatArray:
     # A misalignment of one radian changes C_kl by about C_ll.
-    return np.concatenate([np.diag(C)[LOWER[1]] * _OFF_DIAGONAL[:6] * _MISALIGNMENT, np.zeros(3)])
+    return np.concatenate([np.diag(C)[LOWER[1]] * _OFF_DIAGONAL[:6] * MISALIGNMENT, np.zeros(3)])
 
 
 def _prior(C: FloatArray, with_prior: BoolArray) -> tuple[FloatArray, FloatArray]:

@@ -5,20 +5,19 @@ from dataclasses import replace
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, ReadOnlyArrays
+from imucal.calibration.accelerometer import MISALIGNMENT
 from imucal.frozen import frozen_alone
 
 __all__ = ["GyroPrior"]
 
 #: Standard deviation of a scale error before any turn: datasheets of consumer IMUs give 1 to 3 %.
 _SCALE = 0.02
-#: Standard deviation of a misalignment before any turn, in rad: 0.5 to 1° is usual in a consumer IMU.
-_MISALIGNMENT = 0.015
 #: An entry of C is not observable if its deviation is more than this share of the one before any turn.
 _DOMINATES = 0.4
 #: Below this share the turns show an entry, and its prior, which would draw it by 6 %, is dropped.
 _MATTERS = 0.25
 _DIAGONAL = np.eye(3, dtype=np.bool_).ravel()
-_DEVIATIONS = np.where(_DIAGONAL, _SCALE, _MISALIGNMENT)
+_DEVIATIONS = np.where(_DIAGONAL, _SCALE, MISALIGNMENT)
 
 
 @frozen_alone

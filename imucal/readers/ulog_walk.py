@@ -17,7 +17,11 @@ _HEADER = 16
 _HEAD = struct.Struct("<HB")
 #: Kinds of messages of the specification.
 _KINDS = frozenset(b"BFIMPQADRLCSO")
-_DATA, _FORMAT, _SUBSCRIPTION, _FLAGS = b"DFAB"
+#: Kinds of the messages that the walk looks into.
+_DATA = ord("D")
+_FORMAT = ord("F")
+_SUBSCRIPTION = ord("A")
+_FLAGS = ord("B")
 #: Places of data appended after a crash, in the body of the flags.
 _APPENDED = slice(16, 40)
 #: Bytes of the types of fields.

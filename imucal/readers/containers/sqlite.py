@@ -288,7 +288,7 @@ def _refusal(path: Path, error: Exception) -> ReadError:
     )
     if "no such" in str(error):
         advice = "check that it is complete"
-    elif str(error) == "interrupted":
+    elif getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
         advice = "a query takes too long, so the file is damaged or was not written by ROS"
     elif "locked" in str(error):
         advice = "stop the recorder, or copy the bag and read the copy"

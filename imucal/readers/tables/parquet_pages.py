@@ -14,7 +14,18 @@ from imucal.readers.files import DamagedError, damaged_if
 Structure: TypeAlias = dict[int, Any]
 
 #: Types of the Thrift compact protocol.
-_TRUE, _FALSE, _BYTE, _I16, _I32, _I64, _DOUBLE, _BINARY, _LIST, _SET, _MAP, _STRUCT = range(1, 13)
+_TRUE = 1
+_FALSE = 2
+_BYTE = 3
+_I16 = 4
+_I32 = 5
+_I64 = 6
+_DOUBLE = 7
+_BINARY = 8
+_LIST = 9
+_SET = 10
+_MAP = 11
+_STRUCT = 12
 #: Deepest nesting; files have about 6.
 _MAX_DEPTH = 16
 #: Longest number, in bytes of seven bits.
