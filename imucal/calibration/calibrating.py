@@ -19,6 +19,7 @@ from imucal.calibration.checks import Facts, findings_of
 from imucal.calibration.frames import FRAMES, Frame
 from imucal.calibration.gravity import Gravity, earth_rate, gravity_at
 from imucal.calibration.gyro_rest import GyroRest, estimate_gyro_rest
+from imucal.calibration.known_turns import KnownAngle, known_angle, known_of
 from imucal.calibration.noise_source import NoiseBase, base_covariance, noise_base, white_models
 from imucal.calibration.parameters import accelerometer_parameters, gyroscope_parameters, inverse, is_si
 from imucal.calibration.poses import (
@@ -69,6 +70,7 @@ def calibrate(
     in_hand: bool = False,
     gyro: bool = True,
     frame: str = "kalibr",
+    turns: str | None = None,
 ) -> Calibration:
     """Calibrate an IMU from a log in which it is put down, left alone and turned, in 12 attitudes or more.
 
@@ -90,17 +92,23 @@ def calibrate(
     frame
         Axes of the result: ``kalibr`` (x along the accelerometer's x axis, y in its x-y plane), ``imu-tk``
         (z along its z axis, y in its y-z plane), or ``nearest`` to all three axes.
+    turns
+        Angle about the vertical of the turns that end in the attitude in which they began, such as
+        ``360deg``, and its deviation, such as ``360deg+-0.1deg``; 0.2° by default. It shows the scale of a
+        gyroscope that is turned on a table, which gravity does not.
 
     Raises
     ------
     DataError
-        If the log cannot be calibrated: never moved, one attitude, fewer than 6 rests, a dead axis.
+        If the log cannot be calibrated: never moved, one attitude, fewer than 6 rests, a dead axis, no turn
+        of the known angle.
     ArgumentError
-        If gravity, latitude, `rest_at_least` or `frame` is impossible.
+        If gravity, latitude, `rest_at_least`, `frame` or `turns` is impossible.
     """
     if frame not in FRAMES:
         raise ArgumentError(f"no frame {frame!r}; choose one of {', '.join(FRAMES)}")
     where = f"{recording.source.path}: "
+    known = None if turns is None else known_angle(turns)
     place = gravity_at(gravity=gravity, latitude=latitude, height=height)
     accelerometer = triad(recording, Sensor.ACCELEROMETER)
     gyroscope = triad(recording, Sensor.GYROSCOPE) if gyro else None
@@ -136,19 +144,28 @@ def calibrate(
     sigma[used] = np.sqrt(np.diag(estimate.fit.residual_covariance))
     si = _is_si(recording, Sensor.ACCELEROMETER, _lower(estimate.theta))
     result = _accelerometer(estimate, axes, found.keeping(used), place, si=si)
-    turns: tuple[Turn, ...] = ()
+    every_turn: tuple[Turn, ...] = ()
     trouble, rotating = "", None
     if turning is not None:
         both = found.keeping(used), turning.keeping(used)
-        rotating, turns, trouble = _gyroscope(
-            both, estimate, place, latitude, spans[used],
-            frame=axes, si=(_said_si(recording, Sensor.GYROSCOPE), si),
-        )  # fmt: skip
+        try:
+            rotating, every_turn, trouble = _gyroscope(
+                both,
+                estimate,
+                place,
+                latitude,
+                spans[used],
+                known=known,
+                frame=axes,
+                si=(_said_si(recording, Sensor.GYROSCOPE), si),
+            )
+        except DataError as error:
+            raise DataError(f"{where}{error}", remedy=error.remedy) from error
     found_all = Calibration(
         source=replace(recording.source, read=recording.source.read or ReadRange.of(recording.series)),
         gravity=place,
         rests=_rests((found, turning), result, place, spans_s=spans, z=z, sigma=sigma),
-        turns=turns,
+        turns=every_turn,
         accelerometer=result,
         gyroscope=rotating,
         temperature=_temperature(recording),
@@ -351,6 +368,7 @@ def _gyroscope(
     latitude: float | None,
     spans_s: FloatArray,
     *,
+    known: KnownAngle | None,
     frame: Frame,
     si: tuple[bool | None, bool],
 ) -> tuple[GyroscopeResult, tuple[Turn, ...], str]:
@@ -371,6 +389,9 @@ def _gyroscope(
         start = None if trouble else start
     except DataError as error:
         trouble = str(error)
+    angles = np.full(which.size, np.nan)
+    if known is not None and plain is not None and start is not None:
+        angles, start = known_of(plain, start, known, said_si=si[0])
     earth = earth_rate(latitude)
     headings = None if plain is None or start is None else Headings.of(plain, start)
     covariance, walk = turning.covariance, turning.walk
@@ -391,6 +412,8 @@ def _gyroscope(
         f = at_other_times(found.data, (found.data.samples - fit.b) @ (frame.R @ fit.C).T, data)
         parts = f @ rest.G_apparent.T, at_rest @ rest.G_apparent.T
         arrays = prepare_turns(data, rests, fit.up, which, parts)
+        if known is not None:
+            arrays = replace(arrays, known=angles, known_deviation=known.deviation)
         models = tuple(
             NoiseModel(terms=(*model.terms, TERMS["K"].of(excess.kappa)))
             for model, excess in zip(turning.base.models, rest.excess, strict=True)
@@ -405,12 +428,13 @@ def _gyroscope(
         )
         accelerometer = fit, found.rests.means, estimate.covariances
         directions = direction_covariance(*accelerometer)
-        turns = fit_turns(arrays, noise, directions)
+        turns = fit_turns(arrays, noise, directions, start)
         turns = turns.turned(frame, direction_covariance(*accelerometer, frame.slopes) - directions)
     said, as_accelerometer = si
     if said is None:
         said = as_accelerometer if turns is None else is_si(inverse(turns.C))
-    return _gyroscope_result(rest, turns, si=said), _turns(spans_s, fit.up, reasons, which, turns), trouble
+    every_turn = _turns(spans_s, fit.up, reasons, which, turns, known=angles)
+    return _gyroscope_result(rest, turns, si=said), every_turn, trouble
 
 
 def _gyroscope_result(rest: GyroRest, turns: TurnsFit | None, *, si: bool) -> GyroscopeResult:
@@ -432,8 +456,15 @@ def _gyroscope_result(rest: GyroRest, turns: TurnsFit | None, *, si: bool) -> Gy
 
 
 def _turns(
-    spans_s: FloatArray, up: FloatArray, reasons: list[str], which: IntArray, fit: TurnsFit | None
+    spans_s: FloatArray,
+    up: FloatArray,
+    reasons: list[str],
+    which: IntArray,
+    fit: TurnsFit | None,
+    *,
+    known: FloatArray,
 ) -> tuple[Turn, ...]:
+    """Return the turns; `known`, shape (t,), are known angles in rad of the turns after the rests `which`."""
     cosines = np.clip(np.einsum("mi,mi->m", up[:-1], up[1:]), -1.0, 1.0)
     angles = np.degrees(np.arccos(cosines)).tolist()
     turns = [
@@ -447,13 +478,19 @@ def _turns(
     for k, rest in enumerate(which):
         turns[rest] = replace(
             turns[rest],
-            residual_deg=tuple(np.degrees(fit.residual[k]).tolist()),
-            before_deg=tuple(np.degrees(fit.before[k]).tolist()),
+            known_deg=float(np.degrees(known[k])) if np.isfinite(known[k]) else None,
+            residual_deg=_components_deg(fit.residual[k]),
+            before_deg=_components_deg(fit.before[k]),
             p=float(fit.p[k]),
             used=bool(fit.used[k]),
             why="" if fit.used[k] else "wrong",
         )
     return tuple(turns)
+
+
+def _components_deg(angles: FloatArray) -> tuple[float, ...]:
+    """Return angles in rad as degrees, without NaN."""
+    return tuple(np.degrees(angles[np.isfinite(angles)]).tolist())
 
 
 def _rests(

@@ -33,7 +33,7 @@ def to_document(found: Calibration) -> JsonObject:
     """Return a calibration as JSON values, SI; null for unknown values."""
     temperature = found.temperature and dict(zip(("mean", "low", "high"), found.temperature, strict=True))
     rest = "start_s end_s mean_accel mean_gyro up residual before sigma z used why"
-    turn = "start_s end_s angle_deg residual_deg before_deg p used why"
+    turn = "start_s end_s angle_deg known_deg residual_deg before_deg p used why"
     return {
         "schema": SCHEMA,
         "verdict": found.verdict,

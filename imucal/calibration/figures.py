@@ -104,9 +104,10 @@ def attitudes_figure(found: Calibration) -> "Figure":
 
 def turns_figure(found: Calibration) -> "Figure":
     """Return the error of gravity's direction after each turn, before and after the calibration."""
-    figure = _new(
-        found, "Turns", "error of gravity's direction after integrating the gyroscope through a turn"
-    )
+    errors = "error of gravity's direction"
+    if any(turn.known_deg is not None for turn in found.turns):
+        errors += " and of a known angle"
+    figure = _new(found, "Turns", f"{errors} after integrating the gyroscope through a turn")
     axes = _axes(figure, 0.075, 0.9, "time (min)", "error (deg)")
     judged = [turn for turn in found.turns if turn.residual_deg is not None and turn.before_deg is not None]
     if not judged:

@@ -29,14 +29,23 @@ __all__ = [
     "triad",
 ]
 
-#: Length of a window in s, and its fewest samples.
-_WINDOW_S, _WINDOW_SAMPLES = 0.2, 8
-#: Length of the quietest stretch of an axis, in s; multiple of its variance that ends a rest.
-_STRETCH_S, _QUIET = 5.0, 6.0
+#: Length of a window in s.
+_WINDOW_S = 0.2
+#: Fewest samples of a window.
+_WINDOW_SAMPLES = 8
+#: Length of the quietest stretch of an axis, in s.
+_STRETCH_S = 5.0
+#: Multiple of the variance of the quietest stretch that ends a rest.
+_QUIET = 6.0
 #: Minimum number of windows of a log.
 _MIN_WINDOWS = 10
-#: Limits for the mean rate and for a jump, in deviations.
-_OFF_LEVEL, _JUMP = 8.0, 8.0
+#: Limit of the mean rate at rest, in deviations.
+_OFF_LEVEL = 8.0
+#: Limit of a jump of the acceleration at rest, in deviations.
+_JUMP = 8.0
+#: Limit of the mean rate at rest as a share of the rate of a usual turn, 1 rad/s: g-sensitivities of
+#: 5e-4 (rad/s)/(m/s²) are usual, and change the rate by 5e-3 rad/s.
+_BY_GRAVITY = 5e-3
 #: Time removed at both ends of a rest, in s.
 _CLEAR_S = 0.15
 #: In a hand: rates that count as rest, in rad/s; change of the acceleration by a tilt, in m/s² per rad.
@@ -170,7 +179,10 @@ def _moved(data: Triad, still: float) -> list[tuple[float, float]]:
     elif quiet.any():
         level = np.median(mean[quiet], axis=0)
         spread = 1.4826 * np.median(np.abs(mean[quiet] - level), axis=0) + deviation
-        quiet &= (np.abs(mean - level) < np.maximum(_OFF_LEVEL * spread, still)).all(axis=1)
+        off_level = np.abs(mean - level)
+        # Gravity changes the rate at rest with the attitude, and its noise may be much smaller.
+        by_gravity = 0.0 if quiet.all() else _BY_GRAVITY * float(np.median(off_level[~quiet].max(axis=1)))
+        quiet &= (off_level < np.maximum(_OFF_LEVEL * spread, max(still, by_gravity))).all(axis=1)
     moved += zip(windows.time_s[~quiet], windows.end_s[~quiet], strict=True)
     begin = data.offset_s + clock.segments[0].offset / data.rate_hz
     return [(begin + first, begin + last) for first, last in moved]

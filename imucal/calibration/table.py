@@ -97,7 +97,9 @@ def remarks(found: Calibration) -> Iterator[str]:
         for name in ("before_deg", "residual_deg")
     ]
     if turns:
-        yield f"Turns: {both[0]:.2g} deg rms before, {both[1]:.2g} after."
+        known = sum(turn.known_deg is not None for turn in turns)
+        angles = f" ({known} by a known angle)" if known else ""
+        yield f"Turns{angles}: {both[0]:.2g} deg rms before, {both[1]:.2g} after."
     add = found.accelerometer.suggestion
     name = add.parameter.replace("_", " ")
     percent = f"{100 - 100 * add.ratio:.0f} %"

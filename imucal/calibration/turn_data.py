@@ -11,10 +11,21 @@ from imucal.calibration.poses import RestMeans, Triad
 from imucal.errors import DataError
 from imucal.frozen import frozen, frozen_alone
 
-__all__ = ["Headings", "Turn", "TurnData", "prepare_turns", "rotations", "start_of"]
+__all__ = [
+    "Headings",
+    "Turn",
+    "TurnData",
+    "carried_directions",
+    "is_in_place",
+    "prepare_turns",
+    "rotations",
+    "start_of",
+]
 
 #: Median residual in rad above which a start is useless.
 _LOST = 0.3
+#: Largest change of the direction of gravity by a turn in place, in rad: 10°.
+_IN_PLACE = math.radians(10.0)
 #: Number of common scales to try, and of samples of the coarse turns.
 _SCALES, _COARSE = 60, 40
 
@@ -23,13 +34,16 @@ _SCALES, _COARSE = 60, 40
 class Turn:
     """One turn between two used rests.
 
-    `residual_deg` and `before_deg` are two components of the error with the calibration and before. `p` is
-    None if the turn was not judged. `why` is the reason if it is not used.
+    `angle_deg` is the change of the direction of gravity, `known_deg` the angle about the vertical that the
+    user knows. `residual_deg` and `before_deg` are components of the error with the calibration and before:
+    two of gravity's direction, and the error of a known angle. `p` is None if the turn was not judged. `why`
+    is the reason if it is not used.
     """
 
     start_s: float
     end_s: float
     angle_deg: float
+    known_deg: float | None = None
     residual_deg: tuple[float, ...] | None = None
     before_deg: tuple[float, ...] | None = None
     p: float | None = None
@@ -43,7 +57,9 @@ class TurnData(ReadOnlyArrays):
 
     `rates`, shape (t, n, 3), are raw minus bias and g-sensitivity, 0 beyond a turn's end. `spans`, shape (t,
     2), are first sample and end. `share`, shape (t, n), is the weight of the later rest in the interpolated
-    bias. `rests`, shape (t,), are indices of the rest before each turn. `up` has shape (m, 3).
+    bias. `rests`, shape (t,), are indices of the rest before each turn. `up` has shape (m, 3). `known`, shape
+    (t,), are angles about the vertical that the user knows, in rad, NaN if unknown, and `known_deviation` is
+    their standard deviation.
     """
 
     rates: FloatArray
@@ -52,6 +68,18 @@ class TurnData(ReadOnlyArrays):
     rests: IntArray
     up: FloatArray
     tau0: float
+    known: FloatArray
+    known_deviation: float = 0.0
+
+    @property
+    def before(self) -> FloatArray:
+        """Unit vectors of gravity at the rest before each turn, shape (t, 3)."""
+        return self.up[self.rests]
+
+    @property
+    def after(self) -> FloatArray:
+        """Unit vectors of gravity at the rest after each turn, shape (t, 3)."""
+        return self.up[self.rests + 1]
 
     def keeping(self, keep: BoolArray) -> "TurnData":
         return replace(
@@ -60,6 +88,7 @@ class TurnData(ReadOnlyArrays):
             spans=self.spans[keep],
             share=self.share[keep],
             rests=self.rests[keep],
+            known=self.known[keep],
         )
 
 
@@ -90,6 +119,7 @@ def prepare_turns(
         rests=which,
         up=up,
         tau0=1 / data.rate_hz,
+        known=np.full(which.size, np.nan),
     )
 
 
@@ -98,12 +128,12 @@ def start_of(data: TurnData) -> FloatArray:
 
     If there is none, a DataError is raised.
     """
-    coarse = _coarse(data)
+    coarse = _tilting(_coarse(data))
     identity = np.eye(3)
     if _misfit(coarse, identity) < _LOST:
         return identity
     whole = np.linalg.norm(coarse.rates.sum(axis=1), axis=1) * coarse.tau0
-    angle = np.arccos(np.clip(np.einsum("ti,ti->t", data.up[data.rests], data.up[data.rests + 1]), -1, 1))
+    angle = _tilts(coarse)
     # A turn about the vertical has no angle here: the ratio is a lower limit of the scale.
     lowest = np.median(angle / np.maximum(whole, 1e-12))
     best, least = identity, math.inf
@@ -176,6 +206,33 @@ def _misfit(data: TurnData, C: FloatArray) -> float:
     """Return the median angle between carried and measured directions, in rad."""
     v = np.einsum("tij,tj->ti", _whole(data, C), data.up[data.rests])
     return float(np.median(np.linalg.norm(v - data.up[data.rests + 1], axis=1)))
+
+
+def _tilts(data: TurnData) -> FloatArray:
+    """Return the angle between gravity before and after each turn, in rad, shape (t,)."""
+    return np.asarray(np.arccos(np.clip(np.einsum("ti,ti->t", data.before, data.after), -1, 1)))
+
+
+def is_in_place(data: TurnData) -> BoolArray:
+    """Return which turns end in the attitude in which they began, shape (t,)."""
+    return np.asarray(_tilts(data) < _IN_PLACE)
+
+
+def _tilting(data: TurnData) -> TurnData:
+    """Return the turns that change the attitude, if there are any: gravity shows no scale of the others."""
+    tilted = ~is_in_place(data)
+    return data.keeping(tilted) if tilted.any() else data
+
+
+def carried_directions(data: TurnData, C: FloatArray) -> FloatArray:
+    """Return gravity in the middle of each sample of each turn, carried from its start, shape (t, n, 3)."""
+    half_steps = rotations(-data.tau0 / 2 * data.rates @ C.T)
+    directions = np.empty_like(data.rates)
+    now = data.before
+    for k in range(data.rates.shape[1]):
+        directions[:, k] = np.einsum("tij,tj->ti", half_steps[:, k], now)
+        now = np.einsum("tij,tj->ti", half_steps[:, k], directions[:, k])
+    return directions
 
 
 def _whole(data: TurnData, C: FloatArray) -> FloatArray:

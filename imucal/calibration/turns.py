@@ -11,7 +11,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import eigh, solve_triangular
 from scipy.special import chdtrc, stdtrit
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
@@ -31,6 +31,8 @@ _STEPS, _UPDATES, _SMALL_STEP = 15, (0, 2), 1e-4
 _BLOCKS = 8
 #: P-value of a wrong turn's studentised residual; largest share of excluded turns.
 _WRONG, _MAX_WRONG_SHARE = 1e-4, 0.2
+#: Least share of a turn's information that the other turns leave for a test of it.
+_TOLD = 1e-3
 #: P-value of chi² below which the intervals are widened.
 _MISFIT = 0.05
 
@@ -57,8 +59,9 @@ class TurnsFit(ReadOnlyArrays):
 
     `covariance` of C by rows, shape (9, 9), includes `widening`. `by_directions`, shape (9, 3m), are the
     derivatives of C in the unit vectors at the rests. `quantile` is the half-width of a 95 % interval in
-    deviations. `residual` and `before`, shape (t, 2), are angles in rad between the carried and the measured
-    direction with C and with the start. `chi2` and `dof` are of the `used` turns.
+    deviations. `residual` and `before`, shape (t, 3), are angles in rad with C and with the start: two
+    between the carried and the measured direction of gravity, and the error of a known angle, NaN for other
+    turns. `chi2` and `dof` are of the `used` turns.
     """
 
     C: FloatArray
@@ -84,26 +87,41 @@ class TurnsFit(ReadOnlyArrays):
 
 @frozen_alone
 class _Carried(ReadOnlyArrays):
-    """Gravity carried along the turns.
+    """Directions carried along the turns: gravity, and a horizontal one along turns by a known angle.
 
-    Residuals (t, 2), their derivatives in C (2t, 9), rotations over the turn (t, 3, 3) and to its end
-    (t, n, 3, 3), tangents (t, 2, 3) and their products with the carried direction (t, 2, 3).
+    Gravity has two residuals for each of t turns; each of the known turns has one more, after them. The r
+    residuals belong to the turns `turn`, shape (r,). `J`, shape (r, 9), are their derivatives in C.
+    `tangents`, shape (r, 3), are the directions in which the ends are compared, and `lever` their products
+    with the carried directions. `whole`, shape (t, 3, 3), and `to_end`, shape (t, n, 3, 3), are the
+    rotations over a turn, and from each sample to its end.
     """
 
     residual: FloatArray
+    turn: IntArray
     J: FloatArray
     whole: FloatArray
     to_end: FloatArray
     tangents: FloatArray
     lever: FloatArray
 
+    @property
+    def by_turn(self) -> FloatArray:
+        """Residuals by turn, shape (t, 3), NaN if a turn has only two."""
+        t = len(self.whole)
+        table = np.full((t, 3), np.nan)
+        table[:, :2] = self.residual[: 2 * t].reshape(t, 2)
+        table[self.turn[2 * t :], 2] = self.residual[2 * t :]
+        return table
 
-def fit_turns(data: TurnData, noise: GyroNoise, directions: FloatArray) -> TurnsFit:
-    """Fit C to the turns, and exclude wrong turns one after the other.
+
+def fit_turns(
+    data: TurnData, noise: GyroNoise, directions: FloatArray, start: FloatArray | None = None
+) -> TurnsFit:
+    """Fit C to the turns, and exclude wrong turns one after the other; begin with `start`, if it is given.
 
     A DataError is raised if no scale or orientation of the gyroscope explains the turns.
     """
-    start = start_of(data)
+    start = start_of(data) if start is None else start
     prior = GyroPrior.of(start)
     while True:
         fit = _without_wrong_turns(data, noise, directions, start, prior)
@@ -113,7 +131,7 @@ def fit_turns(data: TurnData, noise: GyroNoise, directions: FloatArray) -> Turns
         prior = following
     C, carried, S, covariance, p, used = fit
     part = data.keeping(used)
-    rw = solve_triangular(np.linalg.cholesky(S), carried.residual.ravel(), lower=True)
+    rw = solve_triangular(np.linalg.cholesky(S), carried.residual, lower=True)
     by_directions = -covariance @ np.linalg.solve(S, carried.J).T @ _by_directions(part, carried)
     everything = _carry(data, C)
     statuses = _statuses(carried.J * np.repeat(np.diag(C), 3), S, prior)
@@ -126,8 +144,8 @@ def fit_turns(data: TurnData, noise: GyroNoise, directions: FloatArray) -> Turns
         covariance=covariance * widening**2,
         by_directions=by_directions,
         quantile=float(stdtrit(dof, 0.975)) if misfit else 1.959963985,
-        residual=everything.residual,
-        before=_carry(data, start).residual,
+        residual=everything.by_turn,
+        before=_carry(data, start).by_turn,
         p=p,
         used=used,
         chi2=chi2,
@@ -162,9 +180,9 @@ def _without_wrong_turns(
         inner = (Jw / size).T @ (Jw / size)
         of_basis = np.linalg.pinv(inner, rcond=1e-10) / np.outer(size, size)
         covariance = np.asarray(prior.basis @ of_basis @ prior.basis.T)
-        judged = _studentised(carried, S, covariance)
-        p[used] = chdtrc(2, judged)
-        worst = int(np.flatnonzero(used)[np.argmax(judged)])
+        p[used], chi2 = _tested(carried, S, covariance)
+        # Several p-values may be 0.
+        worst = int(np.flatnonzero(used)[np.lexsort((-chi2, p[used]))[0]])
         if p[worst] >= _WRONG or np.sum(~used) + 1 > _MAX_WRONG_SHARE * used.size:
             return _Fit(C, carried, S, covariance, p, used)
         used[worst] = False
@@ -217,18 +235,49 @@ def _carry(data: TurnData, C: FloatArray) -> _Carried:
         to_end[k] = whole
         whole = whole @ steps[:, k]
     to_end = to_end.transpose(1, 0, 2, 3)
-    target = data.up[data.rests + 1]
-    carried = np.einsum("tij,tj->ti", whole, data.up[data.rests])
+    target = data.after
+    carried = np.einsum("tij,tj->ti", whole, data.before)
     helper = np.where(np.abs(target[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     one = np.cross(target, helper)
     one /= np.linalg.norm(one, axis=1)[:, None]
-    tangents = np.stack([one, np.cross(target, one)], axis=1)
-    # d r_c = (e_c x carried) . sum over samples of R(to the end) dC x dt
-    lever = np.cross(tangents, carried[:, None, :])
+    other = np.cross(target, one)
+    turn = np.repeat(np.arange(t), 2)
+    tangents = np.stack([one, other], axis=1).reshape(2 * t, 3)
+    error = (carried - target)[turn]
+    lever = np.cross(tangents, carried[turn])
+    known = np.flatnonzero(np.isfinite(data.known))
+    if known.size:
+        ahead, ahead_after = _horizontal(data.before[known], data.after[known], data.known[known])
+        ahead_carried = np.einsum("tij,tj->ti", whole[known], ahead)
+        across = np.cross(target[known], ahead_after)
+        turn = np.concatenate([turn, known])
+        tangents = np.vstack([tangents, across])
+        error = np.vstack([error, ahead_carried - ahead_after])
+        lever = np.vstack([lever, np.cross(across, ahead_carried)])
+    # d r = (tangent x carried) . sum over samples of R(to the end) dC x dt
     products = to_end.reshape(t, n, 9).transpose(0, 2, 1) @ (data.rates * data.tau0)
-    J = np.einsum("tcj,tjil->tcil", lever, products.reshape(t, 3, 3, 3)).reshape(2 * t, 9)
-    residual = np.einsum("tci,ti->tc", tangents, carried - target)
-    return _Carried(residual=residual, J=J, whole=whole, to_end=to_end, tangents=tangents, lever=lever)
+    J = np.einsum("rj,rjil->ril", lever, products.reshape(t, 3, 3, 3)[turn]).reshape(len(turn), 9)
+    residual = np.einsum("ri,ri->r", tangents, error)
+    return _Carried(
+        residual=residual, turn=turn, J=J, whole=whole, to_end=to_end, tangents=tangents, lever=lever
+    )
+
+
+def _horizontal(before: FloatArray, after: FloatArray, known: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a horizontal direction before each turn and where a known angle takes it, shape (t, 3) each.
+
+    The angles are about the vertical, in rad. A change of the vertical itself is the shortest rotation.
+    """
+    helper = np.where(np.abs(before[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    ahead = np.cross(before, helper)
+    ahead /= np.linalg.norm(ahead, axis=1)[:, None]
+    axis = np.cross(before, after)
+    sine = np.linalg.norm(axis, axis=1)
+    angle = np.arctan2(sine, np.einsum("ti,ti->t", before, after))
+    shortest = rotations(axis * (angle / np.maximum(sine, 1e-300))[:, None])
+    # In axes of the body, directions of the earth turn the other way.
+    about_vertical = rotations(-known[:, None] * after)
+    return ahead, np.einsum("tij,tjk,tk->ti", about_vertical, shortest, ahead)
 
 
 def _rotation_vectors(angles: FloatArray) -> FloatArray:
@@ -285,15 +334,16 @@ def _covariance(
             to_end = carried.to_end[k, low:high] * data.tau0
             both = np.stack([to_end.sum(axis=0), np.tensordot(data.share[k, low:high], to_end, axes=1)])
             spans.append((first + low, first + high))
-            rows.append((k, carried.lever[k] @ both @ C))
-    A = np.zeros((2 * t, len(spans) + m, 3))
+            rows.append((k, carried.lever[carried.turn == k] @ both @ C))
+    A = np.zeros((len(carried.turn), len(spans) + m, 3))
     for i, (k, (own, later)) in enumerate(rows):
-        here, rest = slice(2 * k, 2 * k + 2), len(spans) + data.rests[k]
+        here, rest = carried.turn == k, len(spans) + data.rests[k]
         A[here, i] += own
         A[here, rest] -= own - later
         A[here, rest + 1] -= later
     where = np.vstack([np.array(spans), noise.rest_spans])
-    S = np.zeros((2 * t, 2 * t))
+    S = np.zeros((len(carried.turn), len(carried.turn)))
+    S[np.arange(2 * t, len(S)), np.arange(2 * t, len(S))] = data.known_deviation**2
     extra = np.concatenate([np.zeros(len(spans)), np.ones(m)])
     known: dict[NoiseModel, FloatArray] = {}
     for axis, model in enumerate(noise.models):
@@ -308,11 +358,11 @@ def _covariance(
 
 
 def _by_earth(data: TurnData, carried: _Carried, headings: Headings) -> FloatArray:
-    """Return the covariance of the residuals, shape (2t, 2t), by a horizontal rate with components of 1.
+    """Return the covariance of the residuals, shape (r, r), by a horizontal rate with components of 1.
 
     The bias between two rests contains the rate at both: only its change within the turn has an effect.
     """
-    E = np.empty((2, 2 * len(data.rests)))
+    E = np.empty((2, len(carried.turn)))
     for which, ahead in enumerate((headings.ahead, headings.aside)):
         first, last = ahead[data.rests], ahead[data.rests + 1]
         end = np.einsum("tij,tj->ti", carried.whole, first)
@@ -320,37 +370,38 @@ def _by_earth(data: TurnData, carried: _Carried, headings: Headings) -> FloatArr
         # Nothing is integrated beyond a turn's end.
         live = np.arange(data.share.shape[1]) < np.diff(data.spans)
         seen = end[:, None] - np.einsum("tnij,tnj->tni", carried.to_end, bias)
-        E[which] = np.einsum("tci,tni,tn->tc", carried.lever, seen, live * data.tau0).ravel()
-    chain = np.repeat(headings.chain[data.rests], 2)
+        turned = np.einsum("tni,tn->ti", seen, live * data.tau0)
+        E[which] = np.einsum("ri,ri->r", carried.lever, turned[carried.turn])
+    chain = headings.chain[data.rests][carried.turn]
     return np.asarray(E.T @ E * (chain[:, None] == chain))
 
 
 def _by_directions(data: TurnData, carried: _Carried) -> FloatArray:
-    """Return the derivatives of the residuals in the unit vectors at the rests, shape (2t, 3m)."""
-    D = np.zeros((2 * len(data.rests), 3 * len(data.up)))
+    """Return the derivatives of the residuals in the unit vectors at the rests, shape (r, 3m).
+
+    Those of known angles are of second order, because the vertical hardly changes.
+    """
+    D = np.zeros((len(carried.turn), 3 * len(data.up)))
     for k, rest in enumerate(data.rests):
         here = slice(2 * k, 2 * k + 2)
-        D[here, 3 * rest : 3 * rest + 3] = carried.tangents[k] @ carried.whole[k]
-        D[here, 3 * rest + 3 : 3 * rest + 6] = -carried.tangents[k]
+        D[here, 3 * rest : 3 * rest + 3] = carried.tangents[here] @ carried.whole[k]
+        D[here, 3 * rest + 3 : 3 * rest + 6] = -carried.tangents[here]
     return D
 
 
-def _studentised(carried: _Carried, S: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return the studentised square of each turn's residual: chi² with 2 degrees of freedom."""
+def _tested(carried: _Carried, S: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the p-value and chi² of the residuals of each turn, given the other turns, shape (t,) each."""
     inverse = np.linalg.inv(S)
     SJ = inverse @ carried.J
     P = inverse - SJ @ covariance @ SJ.T
-    t = len(carried.residual)
-    q = (P @ carried.residual.ravel()).reshape(t, 2)
-    own = _blocks(P)
-    # A turn that alone determines a parameter has no residual.
-    judged = np.linalg.det(own) > 1e-6 * np.linalg.det(_blocks(np.asarray(inverse, dtype=np.float64)))
-    found = np.zeros(t)
-    solved = np.linalg.solve(own[judged], q[judged, :, None])[..., 0]
-    found[judged] = np.einsum("ti,ti->t", q[judged], solved)
-    return found
-
-
-def _blocks(S: FloatArray) -> FloatArray:
-    t = len(S) // 2
-    return np.asarray(S.reshape(t, 2, t, 2)[np.arange(t), :, np.arange(t)])
+    weighted = P @ carried.residual
+    p, chi2 = np.ones(len(carried.whole)), np.zeros(len(carried.whole))
+    for turn in range(p.size):
+        rows = np.flatnonzero(carried.turn == turn)
+        shares, directions = eigh(P[np.ix_(rows, rows)], inverse[np.ix_(rows, rows)])
+        # The other turns say nothing about a direction that this turn alone determines.
+        told = shares > _TOLD
+        if told.any():
+            chi2[turn] = np.sum((directions.T @ weighted[rows])[told] ** 2 / shares[told])
+            p[turn] = chdtrc(int(told.sum()), chi2[turn])
+    return p, chi2

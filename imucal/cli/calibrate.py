@@ -22,7 +22,7 @@ from imucal.cli._printing import (
 )
 from imucal.cli._report_input import REPORT, read_report
 from imucal.cli.fit import report_folder
-from imucal.cli.parameters import DURATION, LOG, PATH, LogRequest, Number
+from imucal.cli.parameters import ANGLE, DURATION, LOG, PATH, LogRequest, Number
 from imucal.cli.simulate import log_to_write
 from imucal.errors import ChoiceError, DataError
 from imucal.grading import remedy
@@ -51,6 +51,9 @@ def command(
         "--frame=kalibr  Axes of the result: x along the accelerometer's x axis (kalibr), z along its z axis "
         "(imu-tk), or nearest to all three.",
         click.Choice(["kalibr", "imu-tk", "nearest"]),
+    ),
+    turns: str | None = option(
+        "--turns ANGLE  Angle of turns on a table, such as 360deg or 360deg+-0.1deg.", ANGLE
     ),
     no_gyro: bool = flag("--no-gyro  Calibrate the accelerometer only."),
     out: Path | None = option("-o --out DIR  Write the result to DIR. [default: NAME-calibration]", PATH),
@@ -94,6 +97,7 @@ def command(
         found = calibrate(
             recording, report, latitude, height, gravity,
             rest_at_least=rest_at_least, in_hand=in_hand, gyro=not no_gyro, frame=frame,
+            turns=turns,
         )  # fmt: skip
     if as_json:
         click.echo(printable_json(dumps(to_document(found))), nl=False)

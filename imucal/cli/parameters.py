@@ -126,6 +126,14 @@ def _taus(text: str, *, lists: bool = True) -> str | tuple[float, ...]:
     return seconds
 
 
+def angle_of(text: str) -> str:
+    """Return the text of a known angle, checked."""
+    from imucal.calibration.known_turns import known_angle
+
+    known_angle(text)
+    return text
+
+
 def structure_of(text: str) -> str:
     """Return the terms of a model in their usual order, or auto; a ValueError for any other text."""
     from imucal.noise import parse_structure, structure_text
@@ -151,6 +159,7 @@ RATE = Number(1e-6, 1e9, unit="Hz")
 LEVEL = Number(0.01, 0.999999, percent=True)
 SHARE = Number(0, 1, min_open=True, max_open=True, percent=True)
 _SCALE = Number(min=0, min_open=True)
+ANGLE = Text("angle", angle_of)
 DURATION = Text("duration", seconds_of)
 STRUCTURE = Text("structure", structure_of)
 TAU_SET, TAUS = Text("taus", functools.partial(_taus, lists=False)), Text("taus", _taus)

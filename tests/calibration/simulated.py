@@ -132,11 +132,13 @@ def log(
     turn_s: float = 2.0,
     latitude: float | None = None,
     yaw: float = 0.6,
+    yaws: FloatArray | None = None,
 ) -> Log:
     """Return a log of rests with these up directions and smooth turns between, which also yaw.
 
-    `noise` is that of an accelerometer's and a gyroscope's axes. With a latitude the earth turns. `yaw` is
-    the deviation of the angle about the vertical in each turn, in rad.
+    `noise` is that of an accelerometer's and a gyroscope's axes. With a latitude the earth turns. `yaws`,
+    shape (m - 1,), are the angles about the vertical of the turns, in rad, by default drawn with the
+    deviation `yaw`.
     """
     rest, turn = int(rest_s * RATE), int(turn_s * RATE)
     bell = 1 - np.cos(2 * np.pi * (np.arange(turn) + 0.5) / turn)
@@ -146,7 +148,8 @@ def log(
     north = np.cross(v, [0.6, 0.0, 0.8])
     north /= np.linalg.norm(north)
     norths = [np.tile(north, (rest, 1))]
-    for target in up[1:]:
+    drawn = rng.normal(0, yaw, len(up) - 1) if yaws is None else yaws
+    for target, about_vertical in zip(up[1:], drawn, strict=True):
         axis = np.cross(v, target)
         sine = np.linalg.norm(axis)
         axis = axis / sine if sine > 1e-6 else np.cross(v, [0.6, 0.0, 0.8])
@@ -155,7 +158,7 @@ def log(
         done = angle * np.concatenate([[0.0], np.cumsum(bell)[:-1]]) / RATE
         rate = -axis * angle * bell[:, None]
         # Turning about the vertical does not change its direction.
-        rate += (rng.normal(0, yaw) * bell)[:, None] * (rotations(axis * done[:, None]) @ v)
+        rate += (about_vertical * bell)[:, None] * (rotations(axis * done[:, None]) @ v)
         path, ends = np.empty((turn, 3)), np.empty((turn, 3))
         for k, step in enumerate(rotations(-rate / RATE)):
             v, north = step @ v, step @ north
@@ -177,6 +180,28 @@ def log(
         b_a=truth.b_a + drift_a,
         b_g=truth.b_g + drift_g,
     )
+
+
+def ferraris(
+    truth: Truth,
+    noise: tuple[NoiseModel, NoiseModel],
+    rng: np.random.Generator,
+    *,
+    tilt: float = 0.02,
+    deviation: float = 0.0,
+) -> Log:
+    """Return a log of six faces, and of one full turn on the table about each axis.
+
+    Source: Ferraris, Grimaldi, Parvis (1995), Sensors and Materials 7, 311. `tilt` is of each face, in rad;
+    each full turn is wrong by a drawn angle with `deviation`, in rad.
+    """
+    faces = FACES[[0, 2, 1, 4, 3, 5, 1, 3, 0]] + rng.normal(0, tilt, (9, 3))
+    faces /= np.linalg.norm(faces, axis=1)[:, None]
+    # The last three faces: a rest, a full turn, and a rest.
+    up = faces[[0, 1, 2, 3, 4, 5, 6, 6, 7, 7, 8, 8]]
+    yaws = rng.normal(0, 0.6, len(up) - 1)
+    yaws[[6, 8, 10]] = 2 * np.pi + rng.normal(0, deviation, 3) if deviation else 2 * np.pi
+    return log(truth, noise, up, rng, turn_s=4.0, yaws=yaws)
 
 
 def held(one: Log, truth: Truth, rng: np.random.Generator, *, size: float = 1.0) -> Log:
