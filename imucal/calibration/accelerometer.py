@@ -40,10 +40,14 @@ _PART = 1e-3
 _STEPS, _SMALL_STEP, _HALVINGS = 30, 1e-7, 20
 #: Standard deviation of a misalignment before any rest, in rad: 0.5 to 1° is usual in a consumer IMU.
 MISALIGNMENT = 0.015
+#: Standard deviation of a scale error before any rest: datasheets of consumer IMUs give 1 to 3 %.
+_SCALE = 0.02
+#: Standard deviation of a bias before any rest, in m/s²: datasheets of consumer IMUs give 40 to 80 mg.
+_BIAS = 0.5
 #: A misalignment is not observable if its deviation is more than this share of the one before any rest.
 #: With larger shares, one of 14 logs of six faces had larger errors than a fit without misalignment.
 _PRIOR_DOMINATES = 0.4
-#: Below this share the rests show a misalignment, and its prior, which would draw it to 0 by 6 %, is dropped.
+#: Below this share the rests show a parameter, and its prior, which would draw it by 6 %, is dropped.
 _PRIOR_MATTERS = 0.25
 #: Largest misalignment of a start, in rad; larger ones fit noise.
 _LARGEST_START = 0.3
@@ -61,9 +65,10 @@ class AccelerometerFit(ReadOnlyArrays):
     """A calibrated accelerometer: f = C (raw - b).
 
     C is lower triangular, in m/s² per raw unit; b is in raw units. `covariance`, shape (9, 9), is zero for
-    parameters that are not `free`: misalignments that the rests do not show, which stay 0. Free ones that
-    they show only roughly are `with_prior`. `f`, shape (m, 3), and `residual` |f| - g are in m/s².
-    `jacobian`, shape (m, 9), has the derivatives of the residuals.
+    parameters that are not `free`: misalignments that the rests do not show, which stay 0. Free parameters
+    that they show only roughly are `with_prior`; scales and biases only if raw units are m/s², `si`. `f`,
+    shape (m, 3), and `residual` |f| - g are in m/s². `jacobian`, shape (m, 9), has the derivatives of the
+    residuals.
     """
 
     C: FloatArray
@@ -71,6 +76,7 @@ class AccelerometerFit(ReadOnlyArrays):
     covariance: FloatArray
     free: BoolArray
     with_prior: BoolArray
+    si: bool
     f: FloatArray
     residual: FloatArray
     jacobian: FloatArray
@@ -95,12 +101,12 @@ class AccelerometerFit(ReadOnlyArrays):
 
     @property
     def prior_deviation(self) -> FloatArray:
-        """Deviation of each misalignment before any rest, 0 for the other parameters, shape (9,)."""
-        return _prior_deviation(self.C)
+        """Deviation of each parameter before any rest, 0 if nothing is known, shape (9,)."""
+        return _prior_deviation(self.C, si=self.si)
 
     def prior(self) -> tuple[FloatArray, FloatArray]:
         """Return the k parameters `with_prior` in prior deviations, and their derivatives, shape (k, 9)."""
-        return _prior(self.C, self.with_prior)
+        return _prior(self.C, self.b, self.with_prior, si=self.si)
 
 
 def derivatives(means: FloatArray, C: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -127,14 +133,20 @@ def fit_accelerometer(
     model: Model | None = None,
     free: BoolArray | None = None,
     start: tuple[FloatArray, FloatArray] | None = None,
+    si: bool = False,
 ) -> AccelerometerFit:
     """Fit C and b so that |C (mean - b)| is `gravity`, in m/s², at every rest.
 
-    `means`, shape (m, 3), are raw readings, `covariances`, shape (3, m, m), those of each axis. Misalignments
-    have a prior of 0 ± 0.015 rad. Those that the rests do not show stay 0, and count as noise; so do all of
-    them with ``diagonal`` as `model`, and those that are not `free`, shape (9,). A DataError is raised if the
-    rests do not determine bias and scale of each axis, a ValueError if they do not determine a requested full
-    model.
+    `means`, shape (m, 3), are raw readings, `covariances`, shape (3, m, m), those of each axis. `si` is
+    whether the means are in m/s².
+
+    Misalignments have a prior of 0 ± 0.015 rad. If `si`, scales have one of 1 ± 0.02, and biases one of
+    0 ± 0.5 m/s². A prior is dropped if the rests show its parameter. Misalignments that the rests do not
+    show stay 0, and count as noise; so do all of them with ``diagonal`` as `model`, and those that are not
+    `free`, shape (9,).
+
+    A DataError is raised if the rests do not determine bias and scale of each axis, a ValueError if they do
+    not determine a requested full model.
     """
     means = np.asarray(means, dtype=np.float64).reshape(-1, 3)
     noise = np.asarray(covariances, dtype=np.float64)
@@ -146,8 +158,8 @@ def fit_accelerometer(
     begin = start or extremes
     if start is None and free.all():
         begin = _ellipsoid(means, gravity) or extremes
-    solve = partial(_gauss_newton, means, noise, (gravity, gravity_sigma))
-    fit = _fit_observable(solve, begin, free)
+    solve = partial(_gauss_newton, means, noise, (gravity, gravity_sigma), si=si)
+    fit = _fit_observable(solve, begin, free, si=si)
     if model == "full" and not fit.free.all():
         raise ValueError("these rests do not determine all nine parameters")
     undetermined = [
@@ -161,19 +173,23 @@ def fit_accelerometer(
 
 
 def _fit_observable(
-    solve: Callable[..., AccelerometerFit], start: tuple[FloatArray, FloatArray], free: BoolArray
+    solve: Callable[..., AccelerometerFit],
+    start: tuple[FloatArray, FloatArray],
+    free: BoolArray,
+    *,
+    si: bool,
 ) -> AccelerometerFit:
-    """Fix the misalignments that the rests do not show, and drop the prior of those that they show."""
-    with_prior = free & _OFF_DIAGONAL
+    """Fix the misalignments that the rests do not show, and drop the prior of parameters that they show."""
+    with_prior = free if si else free & _OFF_DIAGONAL
     while True:
         fit = solve(start, free=free, with_prior=with_prior)
         shares = _shares_of_prior(fit)
-        unseen = with_prior & (shares > _PRIOR_DOMINATES)
+        unseen = with_prior & _OFF_DIAGONAL & (shares > _PRIOR_DOMINATES)
         if not unseen.any():
             break
         free, with_prior = free & ~unseen, with_prior & ~unseen
         start = _without(fit.C, unseen), fit.b
-    # A prior must not draw or narrow a misalignment that the rests show.
+    # A prior must not draw or narrow a parameter that the rests show.
     clear = with_prior & (shares < _PRIOR_MATTERS)
     return solve((fit.C, fit.b), free=free, with_prior=with_prior & ~clear) if clear.any() else fit
 
@@ -224,17 +240,18 @@ def _gauss_newton(
     *,
     free: BoolArray,
     with_prior: BoolArray,
+    si: bool,
 ) -> AccelerometerFit:
     C, b = (np.array(value, dtype=np.float64) for value in start)
     m = len(means)
     for step_number in range(_STEPS + 1):
         norm, J, weights = derivatives(means, C, b)
         S0 = residual_covariance(weights, noise)
-        ignored = J * (_prior_deviation(C) * ~free)
+        ignored = J * (_prior_deviation(C, si=si) * ~free)
         S = S0 + gravity[1] ** 2 + ignored @ ignored.T
         residual = norm - gravity[0]
         L = np.linalg.cholesky(S)
-        prior, prior_slopes = _prior(C, with_prior)
+        prior, prior_slopes = _prior(C, b, with_prior, si=si)
         rw = solve_triangular(L, residual, lower=True)
         Jw = np.vstack([solve_triangular(L, J[:, free], lower=True), prior_slopes[:, free]])
         both = np.concatenate([rw, prior])
@@ -253,7 +270,8 @@ def _gauss_newton(
             moved = (means - b - change[6:]) @ following.T
             after = solve_triangular(L, np.linalg.norm(moved, axis=1) - gravity[0], lower=True)
             positive = np.all(np.diag(following) > 0)
-            if positive and after @ after + np.sum(_prior(following, with_prior)[0] ** 2) <= misfit:
+            from_prior = _prior(following, b + change[6:], with_prior, si=si)[0]
+            if positive and after @ after + from_prior @ from_prior <= misfit:
                 break
             change /= 2
         else:
@@ -263,14 +281,17 @@ def _gauss_newton(
     covariance[np.ix_(free, free)] = np.linalg.pinv((Jw / size).T @ (Jw / size), rcond=1e-13) / np.outer(
         size, size
     )
-    # An unknown gravity must not make the scales look weak.
-    noise_and_prior = np.zeros((m + len(prior), m + len(prior)))
+    # An unknown gravity must not make the scales look weak, nor a prior a scale or bias look seen.
+    _, misalignment_slopes = _prior(C, b, with_prior & _OFF_DIAGONAL, si=si)
+    count = len(misalignment_slopes)
+    noise_and_prior = np.zeros((m + count, m + count))
     noise_and_prior[:m, :m] = S0
-    noise_and_prior[m:, m:] = np.eye(len(prior))
-    slopes = np.vstack([J, prior_slopes]) * relative_size(C, gravity[0])
+    noise_and_prior[m:, m:] = np.eye(count)
+    slopes = np.vstack([J, misalignment_slopes]) * relative_size(C, gravity[0])
     seen = observability(slopes, noise_and_prior, free)
     statuses: tuple[Status, ...] = tuple(
-        "weak" if own_prior else status for status, own_prior in zip(seen, with_prior, strict=True)
+        "weak" if own_prior and status == "estimated" else status
+        for status, own_prior in zip(seen, with_prior, strict=True)
     )
     return AccelerometerFit(
         C=C,
@@ -278,6 +299,7 @@ def _gauss_newton(
         covariance=covariance,
         free=free,
         with_prior=with_prior,
+        si=si,
         f=(means - b) @ C.T,
         residual=residual,
         jacobian=J,
@@ -294,17 +316,25 @@ def _without(C: FloatArray, unseen: BoolArray) -> FloatArray:
     return kept
 
 
-def _prior_deviation(C: FloatArray) -> FloatArray:
+def _prior_deviation(C: FloatArray, *, si: bool) -> FloatArray:
+    """Return the deviation of each parameter before any rest, 0 if nothing is known, shape (9,)."""
     # A misalignment of one radian changes C_kl by about C_ll.
-    return np.concatenate([np.diag(C)[LOWER[1]] * _OFF_DIAGONAL[:6] * MISALIGNMENT, np.zeros(3)])
+    misalignments = np.diag(C)[LOWER[1]] * _OFF_DIAGONAL[:6] * MISALIGNMENT
+    scales = _DIAGONAL[:6] * _SCALE * si
+    return np.concatenate([misalignments + scales, np.full(3, _BIAS * si)])
 
 
-def _prior(C: FloatArray, with_prior: BoolArray) -> tuple[FloatArray, FloatArray]:
-    shown = np.flatnonzero(with_prior)
-    deviation = _prior_deviation(C)[shown]
-    slopes = np.zeros((shown.size, len(PARAMETERS)))
-    slopes[np.arange(shown.size), shown] = 1 / deviation
-    return C[LOWER][shown] / deviation, slopes
+def _prior(C: FloatArray, b: FloatArray, with_prior: BoolArray, *, si: bool) -> tuple[FloatArray, FloatArray]:
+    """Return the k parameters `with_prior` minus their prior means, in deviations, and their derivatives.
+
+    The derivatives are in `PARAMETERS`, shape (k, 9).
+    """
+    own = np.flatnonzero(with_prior)
+    deviation = _prior_deviation(C, si=si)[own]
+    mean = np.concatenate([np.eye(3)[LOWER], np.zeros(3)])[own]
+    slopes = np.zeros((own.size, len(PARAMETERS)))
+    slopes[np.arange(own.size), own] = 1 / deviation
+    return (np.concatenate([C[LOWER], b])[own] - mean) / deviation, slopes
 
 
 def _shares_of_prior(fit: AccelerometerFit) -> FloatArray:

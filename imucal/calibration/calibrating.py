@@ -55,6 +55,8 @@ __all__ = ["calibrate"]
 
 #: How a reader reports raw counts; other scales than 1 give SI units.
 _COUNTS = "count, 1 "
+#: Median length of samples in m/s² of a log of rests and turns.
+_LIKE_GRAVITY = (6.5, 14.7)
 #: Largest share of rests excluded as moved.
 _MAX_MOVED = 1 / 3
 
@@ -117,14 +119,18 @@ def calibrate(
     try:
         spans = find_rests(accelerometer, gyroscope, at_least_s=seconds_of(rest_at_least), in_hand=in_hand)
         require_rests(spans, accelerometer, gyroscope)
+        si = _accelerometer_is_si(recording, accelerometer)
         found = _Sensor.of(
-            accelerometer, spans, noise, lambda rests: _scale(_first_fit(accelerometer, rests, place).C)
+            accelerometer,
+            spans,
+            noise,
+            lambda rests: _scale(_first_fit(accelerometer, rests, place, si=si).C),
         )
         require_attitudes(found.rests.means)
         require_range(accelerometer, found.rests)
         turning = None
         if gyroscope is not None:
-            up = _first_fit(accelerometer, found.rests, place).up
+            up = _first_fit(accelerometer, found.rests, place, si=si).up
             turning = _Sensor.of(
                 gyroscope,
                 spans,
@@ -133,16 +139,15 @@ def calibrate(
             )
         z = np.column_stack([half_differences(s.data, s.rests, s.base.models) for s in (found, turning) if s])
         moved = _excluded(z)
-        kept = moved & _irreplaceable(_first_fit(accelerometer, found.rests, place).up, moved)
+        kept = moved & _irreplaceable(_first_fit(accelerometer, found.rests, place, si=si).up, moved)
         used = ~moved | kept
         found, turning = found.moving(kept), turning and turning.moving(kept)
-        estimate = _estimate(found.keeping(used), place)
+        estimate = _estimate(found.keeping(used), place, si=si)
     except DataError as error:
         raise DataError(f"{where}{error}", remedy=error.remedy) from error
     axes = Frame.of(frame, _lower(estimate.theta))
     sigma = np.full(len(spans), np.nan)
     sigma[used] = np.sqrt(np.diag(estimate.fit.residual_covariance))
-    si = _is_si(recording, Sensor.ACCELEROMETER, _lower(estimate.theta))
     result = _accelerometer(estimate, axes, found.keeping(used), place, si=si)
     every_turn: tuple[Turn, ...] = ()
     trouble, rotating = "", None
@@ -249,9 +254,13 @@ def _final_rates(sensor: _Sensor | None) -> tuple[FloatArray, FloatArray]:
     return np.median(np.abs([part.mean(axis=0) for part in quarters]), axis=0), noise
 
 
-def _is_si(recording: Recording, sensor: Sensor, C: FloatArray) -> bool:
-    said = _said_si(recording, sensor)
-    return is_si(inverse(C)) if said is None else said
+def _accelerometer_is_si(recording: Recording, data: Triad) -> bool:
+    """Return whether samples are in m/s²; without a reader, whether their length is about that of gravity."""
+    said = _said_si(recording, Sensor.ACCELEROMETER)
+    if said is not None:
+        return said
+    length = float(np.nanmedian(np.linalg.norm(data.samples, axis=1)))
+    return _LIKE_GRAVITY[0] < length < _LIKE_GRAVITY[1]
 
 
 def _said_si(recording: Recording, sensor: Sensor) -> bool | None:
@@ -260,11 +269,10 @@ def _said_si(recording: Recording, sensor: Sensor) -> bool | None:
     return None if unit is None else not unit.startswith(_COUNTS)
 
 
-def _first_fit(data: Triad, rests: RestMeans, place: Gravity) -> AccelerometerFit:
+def _first_fit(data: Triad, rests: RestMeans, place: Gravity, *, si: bool) -> AccelerometerFit:
     """Return the accelerometer with white noise, for scale and directions."""
-    return fit_accelerometer(
-        rests.means, base_covariance(white_models(data, rests), data, rests), gravity=place.value
-    )
+    noise = base_covariance(white_models(data, rests), data, rests)
+    return fit_accelerometer(rests.means, noise, gravity=place.value, si=si)
 
 
 def _scale(C: FloatArray | None) -> FloatArray:
@@ -306,7 +314,7 @@ def _irreplaceable(up: FloatArray, moved: BoolArray) -> BoolArray:
     return np.asarray(~np.array(repeated, dtype=np.bool_))
 
 
-def _estimate(sensor: _Sensor, place: Gravity) -> AccelerometerEstimate:
+def _estimate(sensor: _Sensor, place: Gravity, *, si: bool) -> AccelerometerEstimate:
     if len(sensor.rests.means) < MIN_RESTS:
         raise DataError(f"only {len(sensor.rests.means)} rests did not move; {ADVICE}")
     return estimate_accelerometer(
@@ -316,6 +324,7 @@ def _estimate(sensor: _Sensor, place: Gravity) -> AccelerometerEstimate:
         gravity=place.value,
         gravity_sigma=place.sigma,
         checked=sensor.base.checked,
+        si=si,
     )
 
 
@@ -336,6 +345,7 @@ def _accelerometer(
         gravity=place.value,
         gravity_sigma=place.sigma,
         model="diagonal",
+        si=si,
     )
     return AccelerometerResult(
         C=frame.R @ _lower(estimate.theta),

@@ -39,8 +39,11 @@ _ZEROED = 4.0
 #: Factor by which an error of gravity after the calibration must exceed the one before to be more than
 #: rounding.
 _WORSE = 1.02
-#: The same for turns: without misalignments, errors of the directions of gravity are most of both.
+#: The same for turns.
 _WORSE_TURNS = 1.1
+#: P-value of the turns from which their errors say nothing: unknown misalignments of the accelerometer, which
+#: turn the directions of gravity by a degree, explain both.
+_EXPLAINED = 0.05
 _RECORD_AGAIN = "Do not use this calibration. Record again: each face and six edges, 5 s each."
 #: Most times listed.
 _LISTED = 4
@@ -94,7 +97,8 @@ def worse_than_before(found: Calibration) -> Iterator[Finding]:
             f"{1e3 * before:.3g} mm/s² rms before and {1e3 * after:.3g} after."
         )
         yield Finding("error", "worse-than-before", text, _RECORD_AGAIN, axis="accel")
-    if found.gyroscope is not None and found.gyroscope.si:
+    gyroscope = found.gyroscope
+    if gyroscope is not None and gyroscope.si and not gyroscope.p >= _EXPLAINED:
         yield from _worse_turns(found)
 
 

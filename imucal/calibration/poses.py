@@ -43,9 +43,11 @@ _MIN_WINDOWS = 10
 _OFF_LEVEL = 8.0
 #: Limit of a jump of the acceleration at rest, in deviations.
 _JUMP = 8.0
-#: Limit of the mean rate at rest as a share of the rate of a usual turn, 1 rad/s: g-sensitivities of
-#: 5e-4 (rad/s)/(m/s²) are usual, and change the rate by 5e-3 rad/s.
-_BY_GRAVITY = 5e-3
+#: Limit of the mean rate at rest as a share of the rate in a fast part of the turns, 1 to 3 rad/s:
+#: g-sensitivities of 5e-4 (rad/s)/(m/s²) are usual, and change the rate by 5e-3 rad/s.
+_BY_GRAVITY = 3e-3
+#: Quantile of the rates of moving windows that is a fast part.
+_FAST = 0.9
 #: Time removed at both ends of a rest, in s.
 _CLEAR_S = 0.15
 #: In a hand: rates that count as rest, in rad/s; change of the acceleration by a tilt, in m/s² per rad.
@@ -181,7 +183,8 @@ def _moved(data: Triad, still: float) -> list[tuple[float, float]]:
         spread = 1.4826 * np.median(np.abs(mean[quiet] - level), axis=0) + deviation
         off_level = np.abs(mean - level)
         # Gravity changes the rate at rest with the attitude, and its noise may be much smaller.
-        by_gravity = 0.0 if quiet.all() else _BY_GRAVITY * float(np.median(off_level[~quiet].max(axis=1)))
+        moving = off_level[~quiet].max(axis=1)
+        by_gravity = _BY_GRAVITY * float(np.quantile(moving, _FAST)) if moving.size else 0.0
         quiet &= (off_level < np.maximum(_OFF_LEVEL * spread, max(still, by_gravity))).all(axis=1)
     moved += zip(windows.time_s[~quiet], windows.end_s[~quiet], strict=True)
     begin = data.offset_s + clock.segments[0].offset / data.rate_hz

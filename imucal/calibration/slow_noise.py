@@ -195,14 +195,15 @@ def estimate_accelerometer(
     gravity_sigma: float = 0.0,
     checked: bool,
     free: BoolArray | None = None,
+    si: bool = False,
 ) -> AccelerometerEstimate:
     """Fit the accelerometer and, if the base does not explain the residuals, the slow noise.
 
     `base`, shape (3, m, m), is the covariance of the raw `means`, shape (m, 3). If `checked`, it is a model
-    of a long static log, used alone if its chi² has p >= 0.2 or nothing can be checked. Rests that do not
-    determine bias and scale raise a DataError.
+    of a long static log, used alone if its chi² has p >= 0.2 or nothing can be checked. `si` is whether the
+    means are in m/s². Rests that do not determine bias and scale raise a DataError.
     """
-    fit_with = partial(fit_accelerometer, means, gravity=gravity, gravity_sigma=gravity_sigma)
+    fit_with = partial(fit_accelerometer, means, gravity=gravity, gravity_sigma=gravity_sigma, si=si)
     fit = first = fit_with(base, free=free)
     p = float(chdtrc(first.dof, first.chi2)) if first.dof > 0 else math.nan
     free, covariances = first.free, base
@@ -241,6 +242,7 @@ def estimate_accelerometer(
                     gravity_sigma=gravity_sigma,
                     checked=checked,
                     free=fit.free,
+                    si=si,
                 )
     total = base + excess.tau**2 * np.eye(len(means)) + excess.kappa**2 * walk
     return AccelerometerEstimate(

@@ -298,7 +298,15 @@ def test_what_a_program_has_no_place_for_is_in_the_comment() -> None:
     """g-sensitivity, the gyroscope's scale, weak parameters, a gyroscope without turns or none at all."""
     assert "format has no g-sensitivity: error up to" in text_of("fusion")
     assert "g-sensitivity" not in text_of("kalibr")
+    assert "Kalibr does not read M, A and C_gyro_i from imu.yaml" in text_of("kalibr")
+    assert "DLIO applies them after its rotation baselink2imu" in text_of("dlio")
     assert "format has no gyroscope scale and misalignment: error up to" in text_of("dlio")
+    G = np.array([[1e-4, 0.0, 2e-4], [0.0, 1e-4, -3e-4], [0.0, 0.0, 5e-4]])
+    level = np.array([0.01, -0.02, 0.03]) + G[:, 2] * FOUND.gravity
+    sensitive = render_calibration(replace(FOUND, G=G, b_g=np.array([0.01, -0.02, 0.03])), "fusion")
+    match = re.search(r"starts level, b_g \+ G \[0 0 g\]: \[(.*)\] rad/s", sensitive)
+    assert match is not None
+    np.testing.assert_allclose([float(each) for each in match[1].split(",")], level, rtol=1e-5)
     weak = replace(FOUND, weak=("gyro scale x",), C_g=None)
     text = render_calibration(weak, "python")
     assert "determined weakly or not at all: gyro scale x" in text

@@ -4,17 +4,19 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from unittest import mock
 
 import jsonschema
 import numpy as np
 import pytest
 
 import imucal
+from imucal.calibration.checks import worse_than_before
 from imucal.calibration.document import Intrinsics, load_intrinsics, schema
 from imucal.noise import NoiseModel
 from imucal.recording import Recording, Sensor
 from imucal.simulation import write_log
-from tests.calibration.simulated import FACES, GRAVITY, Log, Truth, attitudes, log
+from tests.calibration.simulated import FACES, GRAVITY, Log, Truth, attitudes, ferraris, log
 from tests.cli.reports import write_report
 from tests.cli.run import run, run_process
 
@@ -288,6 +290,53 @@ def test_raw_counts_are_calibrated(tmp_path: Path) -> None:
     every = run("export", "out", "--to", "all", "-o", "every", cwd=tmp_path)
     assert every.returncode == 0
     assert "px4 is not written: raw.csv: an autopilot corrects samples in m/s²" in every.stderr
+
+
+def test_turns_of_a_known_angle_show_the_scale_of_the_gyroscope(tmp_path: Path) -> None:
+    """Full turns on a table; another angle is refused with the angles that were found."""
+    rng = np.random.default_rng(8213)
+    truth = Truth.draw(rng)
+    write_log(ferraris(truth, NOISE, rng, deviation=0.002).recording(), tmp_path / "table.csv")
+    arguments = ("calibrate", "table.csv", *PLACE, "--json", "--no-files", "-q")
+    done = run(*arguments, "--turns", "360deg", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    jsonschema.validate(document, schema())
+    assert [turn["known_deg"] for turn in document["turns"] if turn["known_deg"] is not None] == [360.0] * 3
+    assert {len(turn["residual_deg"]) for turn in document["turns"]} == {2, 3}
+    without = json.loads(run(*arguments, cwd=tmp_path).stdout)
+    for axis in "xyz":
+        half = [one["gyroscope"]["parameters"][f"scale_{axis}"] for one in (document, without)]
+        assert half[0]["high"] - half[0]["low"] < half[1]["high"] - half[1]["low"]
+    table = run("calibrate", "table.csv", *PLACE, "--no-files", "--turns", "360°±0.1°", "-q", cwd=tmp_path)
+    assert "Turns (3 by a known angle): " in table.stdout
+    wrong = run(*arguments, "--turns", "180deg", cwd=tmp_path)
+    assert wrong.returncode == 4
+    assert "no turn by 180° was found: the turns in place have 36" in wrong.stderr
+    for text in ("1e3deg", "deg", "5deg", "360deg+-0deg", "360deg+-100deg", "99999deg"):
+        refused = run(*arguments, "--turns", text, cwd=tmp_path)
+        assert refused.returncode == 2, text
+        assert "Invalid value for '--turns'" in refused.stderr
+
+
+def test_a_calibration_that_is_worse_than_none_is_not_written(folder: Path, tmp_path: Path) -> None:
+    """Exit code 4 and no files; with --force the page says so."""
+    good = imucal.calibrate(imucal.read(folder / "poses.csv"), gravity=GRAVITY)
+    rests = tuple(replace(rest, before=rest.residual / 10, residual=0.05) for rest in good.rests)
+    bad = replace(good, rests=rests)
+    bad = replace(bad, findings=(*worse_than_before(bad), *good.findings))
+    arguments = ("calibrate", str(folder / "poses.csv"), *PLACE, "-o", "out")
+    with mock.patch("imucal.calibration.calibrate", return_value=bad):
+        done = run(*arguments, cwd=tmp_path)
+        assert done.returncode == 4
+        assert "error [worse-than-before] accel: The calibration makes the accelerometer worse" in done.stderr
+        assert "worse-than-before found; nothing was written" in done.stderr
+        assert not (tmp_path / "out").exists()
+        forced = run(*arguments, "--force", cwd=tmp_path)
+    assert forced.returncode == 0
+    page = (tmp_path / "out" / "calibration.html").read_text(encoding="utf-8")
+    assert "<code>worse-than-before</code>" in page
+    assert "The calibration makes the accelerometer worse" in page
 
 
 def test_warnings_and_wrong_options(folder: Path, tmp_path: Path) -> None:
