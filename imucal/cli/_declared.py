@@ -13,7 +13,7 @@ import click
 _GROUPS = {
     "Output": "out as_json opened formats figure no_html no_report no_files datasheet npz junit github apply "
     "quiet verbose",
-    "Which samples": "topic skip_s take_s rests time rate_hz columns fields message_definition join strict",
+    "Which samples": "topic skip_s take_s rests time rate_hz columns message_definition join strict",
     "Units": "time_unit gyro_unit accel_unit gyro_scale accel_scale",
     "Model": "model level method",
     "Advanced": "taus edf no_clean criterion weights segments second_opinion bins",

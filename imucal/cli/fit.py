@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imucal.arguments import REMOVED
 from imucal.cli._declared import declared, flag, is_set, misuse, option, together
 from imucal.cli._printing import as_typed, echo, name_of_log, print_findings, print_note, refuse, width
 from imucal.cli.parameters import DATASHEET, FORCE, LEVEL, LOG, PATH, PICTURES, STRUCTURE, TAU_SET, LogRequest
@@ -53,7 +52,6 @@ def command(
         },
     ),
     no_clean: bool = flag("--no-clean  Keep spikes instead of leaving them out."),
-    _verify: bool = flag("--verify  (removed)", hidden=True),
     datasheet: bool = DATASHEET,
     formats: tuple[str, ...] = PICTURES,
     figure: str = option(
@@ -101,8 +99,6 @@ def command(
     from imucal.report.json_node import dumps
     from imucal.report.writer import check_folder, write_report
 
-    if is_set("verify"):
-        misuse(f"--{REMOVED['verify']}")
     try:
         reading = request.settings() | ({"rests": True} if rests else {})
         settings = Settings(clean=not no_clean, bins=bins, reading=reading, **choices)

@@ -178,18 +178,11 @@ class Asked(NamedTuple):
     options: dict[str, Any]
 
 
-def _asked(*, logs: tuple[str, ...], fields: tuple[str, ...], **options: Any) -> Asked:  # noqa: ANN401
-    # Without quotes, as in ``--fields gyro=g accel=a``, click takes the second one for a log.
-    more = [log for log in logs if fields and re.match(r"[\w.]+=", log) and not Path(log).exists()]
+def _asked(*, logs: tuple[str, ...], **options: Any) -> Asked:  # noqa: ANN401
     for sensor in Sensor:
         if options[f"{sensor.short}_unit"] == _COUNT:
             options |= {f"{sensor.short}_unit": None, f"{sensor.short}_scale": 1.0}
-    if fields:
-        from imucal.readers.read_options import columns_of_fields
-
-        options["columns"] = text = columns_of_fields([*fields, *more], options["columns"])
-        click.echo(f"--fields is deprecated; use --columns {text!r}", err=True)
-    return Asked(tuple(log for log in logs if log not in more), options)
+    return Asked(logs, options)
 
 
 def _sample_unit(sensor: Sensor) -> Text:
@@ -220,7 +213,6 @@ READING = together(
             "--accel-scale X  Scale of raw accelerometer counts, in m/s^2 per count.", _SCALE
         ),
         "columns": option("--columns TEXT  Columns, or fields of messages: t=0,g=1:4,a=4:7 or gz=rate.z."),
-        "fields": option("--fields TEXT  Deprecated: use --columns.", multiple=True),
         "message_definition": option(
             "--msg FILE  Message definition (.msg), or a folder with several, if the log has none.",
             click.Path(exists=True, path_type=Path),
