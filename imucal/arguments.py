@@ -2,21 +2,15 @@
 
 import functools
 import inspect
-import warnings
 from collections.abc import Callable, Sequence
 from typing import ParamSpec, TypeAlias, TypeVar
 
 from imucal.errors import ArgumentError
 
-__all__ = ["REMOVED", "takes"]
+__all__ = ["takes"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
-#: Former name of an argument -> its name.
-_RENAMED = {"tell": "on_finding"}
-REMOVED = {
-    "verify": "verify was removed: imucal's tests compare fits with the exact likelihood; leave it out"
-}
 #: A class, several, or a list of one for a sequence of its values.
 _Kind: TypeAlias = type | tuple[type, ...] | list[type]
 
@@ -42,15 +36,10 @@ def takes(example: str, **kinds: _Kind) -> Callable[[Callable[P, T]], Callable[P
 
         @functools.wraps(function)
         def checked(*args: P.args, **kwargs: P.kwargs) -> T:
-            for old, new in _RENAMED.items():
-                if old in kwargs and new in signature.parameters:
-                    warnings.warn(f"{old} is deprecated; use {new}", DeprecationWarning, stacklevel=2)
-                    kwargs[new] = kwargs.pop(old)
             try:
                 given = signature.bind(*args, **kwargs).arguments
             except TypeError as error:
-                problem = next((text for name, text in REMOVED.items() if name in kwargs), error)
-                raise ArgumentError(f"{called}: {problem}; type {example}") from error
+                raise ArgumentError(f"{called}: {error}; type {example}") from error
             for name, kind in kinds.items():
                 if name in given and not _is(given[name], kind):
                     found = f"{name} is {_article(type(given[name]).__name__)}"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypedDict, Unpack, overload
 import numpy as np
 
 from imucal.allan import AllanCurve
-from imucal.arguments import REMOVED, takes
+from imucal.arguments import takes
 from imucal.arrays import FloatArray
 from imucal.calibration import Calibration
 from imucal.calibration.document import load_calibration, to_document
@@ -118,8 +118,8 @@ def fit(
     """
     if unknown := [name for name in options if name not in FitOptions.__annotations__]:
         known = ", ".join(FitOptions.__annotations__)
-        problem = f"there is no option {unknown[0]!r}; expected one of {known}; {_ONE_AXIS}"
-        raise ArgumentError(f"fit: {REMOVED.get(unknown[0], problem)}")
+        msg = f"fit: there is no option {unknown[0]!r}; expected one of {known}; {_ONE_AXIS}"
+        raise ArgumentError(msg)
     with _refusals():
         if isinstance(source, Recording):
             if rate_hz is not None:

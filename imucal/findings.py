@@ -73,6 +73,6 @@ def code_texts() -> dict[str, CodeText]:
 
 
 def phrase_of(code: str) -> str:
-    """Return the phrase of a code for the verdict; an unknown code of an old report is its own phrase."""
+    """Return the phrase of a code for the verdict; an unknown code is its own phrase."""
     text = code_texts().get(code)
     return text.phrase if text and text.phrase else code.replace("-", " ")

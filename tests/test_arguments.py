@@ -48,8 +48,7 @@ WRONG: list[tuple[Callable[[], object], str]] = [
     (lambda: imucal.simulate("N=1e-4", rate_hz=-1.0), "type simulate(model, rate_hz=200.0)"),
     (lambda: imucal.simulate("Z=1e-4"), "is not understood; write a sum such as"),
     (lambda: imucal.Settings(modl="N"), "Settings: got an unexpected keyword argument 'modl'"),  # type: ignore[call-arg]
-    (lambda: imucal.Settings(verify=True), "Settings: verify was removed: imucal's tests compare"),  # type: ignore[call-arg]
-    (lambda: imucal.fit(RECORDING, verify=True), "fit: verify was removed: imucal's tests compare"),  # type: ignore[call-overload]
+    (lambda: imucal.fit(RECORDING, modl="N"), "fit: there is no option 'modl'; expected one of model"),  # type: ignore[call-overload]
     (lambda: still()["gyro_x"]["N"].in_units("deg"), "'deg' is no unit of N; expected one of rad/s/sqrt(Hz)"),
 ]  # fmt: skip
 
@@ -139,16 +138,3 @@ def test_uncertain_or_moved_noise_is_only_exported_by_force(tmp_path: Path) -> N
         assert list(tmp_path.iterdir()) == []
     (file,) = imucal.export(vague, "kalibr", tmp_path / "imu.yaml", force=True)
     assert file.is_file()
-
-
-def test_the_former_name_of_an_argument_works_with_a_warning(tmp_path: Path) -> None:
-    """`tell` of `write_report` is now `on_finding`."""
-    with pytest.warns(DeprecationWarning, match="tell is deprecated; use on_finding"):
-        files = imucal.write_report(still(), tmp_path / "out", formats=(), html=False, tell=print)  # type: ignore[call-arg]
-    assert files[0].name == "report.json"
-
-
-def test_a_former_name_is_unknown_to_other_functions() -> None:
-    """`simulate` never had the argument `tell`."""
-    with pytest.raises(ArgumentError, match="tell"):
-        imucal.simulate("N=1e-4", tell=print)  # type: ignore[call-arg]

@@ -177,14 +177,6 @@ _OPTIONS = (
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 
 
-#: Files whose default options are ignored, and a pattern of the content with options.
-_UNREAD = (("imucal.toml", re.compile(b"")), ("pyproject.toml", re.compile(rb"(?m)^\s*\[tool\.imucal[.\]]")))
-_INSTEAD = (
-    "default options in a file are no longer read; remove them, and define an alias in the shell, such as "
-    "alias fit='imucal fit --method gmwm', or a variable in CI"
-)
-
-
 def _print_version(ctx: click.Context, _: click.Parameter, wanted: object) -> None:
     if wanted and not ctx.resilient_parsing:
         click.echo(_version_lines())
@@ -216,11 +208,6 @@ def imucal() -> None:
     Start with `imucal fit LOG`: it reads the log, computes the Allan curves, fits every axis
     and writes a report.
     """
-    for name, used in _UNREAD:
-        with suppress(OSError):
-            if used.search(Path(name).read_bytes()):
-                # Warn even with --quiet: without these options, the results may differ.
-                click.echo(f"warning: {name}: {_INSTEAD}", err=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:

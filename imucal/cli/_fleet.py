@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imucal.cli._declared import option
 from imucal.cli._printing import echo, print_findings, print_note, wrapped
-from imucal.cli.parameters import Text
+from imucal.cli.param_types import Text
 from imucal.clock import seconds_of
 from imucal.errors import ChoiceError
 from imucal.remote import is_url
@@ -174,7 +173,6 @@ def _shard(text: str) -> tuple[int, int]:
 
 
 PATIENCE, SHARD = Text("duration", _patience), Text("shard", _shard)
-FLEET_MODEL = option("--fleet-model NAME  Sensor model, if the fleet has several.")
 
 
 def is_fleet(path: str | Path) -> bool:

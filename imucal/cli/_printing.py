@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import click
 
-from imucal.cli._declared import is_set
+from imucal.cli.context import is_set
 from imucal.errors import DataError
 from imucal.findings import Finding, options_to_keep
 from imucal.grading import NoiseVerdict

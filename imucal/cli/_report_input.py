@@ -4,14 +4,13 @@ import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import click
 
 from imucal.calibration.writer import is_calibration
-from imucal.cli._declared import misuse, option, together
 from imucal.cli._printing import as_typed, name_of_log, print_note
-from imucal.cli.parameters import LOG, LogRequest, model_of
+from imucal.cli.context import misuse
+from imucal.cli.log_request import LogRequest
 from imucal.errors import ReadError
 from imucal.recording import Sensor
 from imucal.remote import is_url
@@ -19,24 +18,12 @@ from imucal.remote.addresses import shown
 from imucal.report.json_node import Node
 from imucal.report.result import Report
 
-REPORT = "report.json or its folder"
 
+def report_request(request: LogRequest, models: dict[Sensor, str]) -> LogRequest:
+    """Return a request with the models of the options or of the argument in place of logs, if there are any.
 
-def _model(sensor: Sensor, option_name: str, example: str) -> Any:  # noqa: ANN401 - declares a parameter
-    text = f'{option_name} MODEL  Use this {sensor} model instead of a report, such as "{example}".'
-    return option(text, model_of(sensor))
-
-
-MODELS = together(
-    lambda **texts: {Sensor(name): text for name, text in texts.items() if text},
-    {
-        Sensor.GYROSCOPE.value: _model(Sensor.GYROSCOPE, "--gyro", "N=0.3deg/sqrt(h) + B=5deg/h"),
-        Sensor.ACCELEROMETER.value: _model(Sensor.ACCELEROMETER, "--accel", "N=60ug/sqrt(Hz) + B=40ug"),
-    },
-)
-
-
-def _request(*, request: LogRequest, models: dict[Sensor, str]) -> LogRequest:
+    A usage error if neither a report, a log nor a model is named, or if they exclude each other.
+    """
     given = next((log for log in request.logs if is_model(log)), None)
     if given is not None and len(request.logs) > 1:
         misuse(f"{given!r} is a model; give one model, one report, or logs only")
@@ -45,20 +32,6 @@ def _request(*, request: LogRequest, models: dict[Sensor, str]) -> LogRequest:
     models = with_model(given or next(iter(request.logs), None), models)
     # Messages contain the model in place of the log's path.
     return replace(request, logs=tuple(models.values())[:1], models=models)
-
-
-def _of_a_log(parameter: click.Parameter) -> None:
-    """Turn LOG into REPORT, and adapt the help of two options for reading a log."""
-    if isinstance(parameter, click.Argument):
-        parameter.metavar, parameter.required = "REPORT", False
-        parameter.type = click.Path()  # the shell completes it
-    elif isinstance(parameter, click.Option) and parameter.name == "strict":
-        parameter.help = "Refuse a damaged log."
-    elif isinstance(parameter, click.Option) and parameter.name == "rate_hz":
-        parameter.help = f"{parameter.help} Required with a model."
-
-
-REPORT_OR_LOG = together(_request, {"request": replace(LOG, change=_of_a_log), "models": MODELS})
 
 
 def is_model(text: str) -> bool:

@@ -7,61 +7,77 @@ import click
 from imucal._version import __version__
 from imucal.allan.intervals import EDF_METHODS
 from imucal.allan.variance import ESTIMATORS
-from imucal.cli._declared import declared, flag, option, together
 from imucal.cli._printing import echo, picked, print_findings, print_json, print_note, refuse
-from imucal.cli.parameters import FORCE, LEVEL, LOG, TAUS, LogRequest
+from imucal.cli.log_request import LogRequest
+from imucal.cli.options import ADVANCED, OUTPUT, Command, flag, force, level, log_options, option, unwrapped
+from imucal.cli.param_types import TAUS
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.grading import judge_findings, remedy
 from imucal.recording import AxisSeries, Recording
 
+_EPILOG = unwrapped("""
+Examples:
+  imucal adev log.mcap > curves.csv
+  imucal adev log.bag --taus decade:20 --estimator modified
+  imucal adev log.csv --taus 0.1,1,10,10min --json
 
-@declared
+Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
+analysed or are not noise at rest (with --strict: or a warning was found).
+""")
+
+
+@click.command(cls=Command, epilog=_EPILOG)
+@option(
+    "--estimator",
+    type=click.Choice(list(ESTIMATORS)),
+    default="overlapping",
+    show_default=True,
+    help="Kind of deviation.",
+)
+@force
+@flag("--json", "as_json", group=OUTPUT, help="Print JSON instead of CSV, with the spectrum of each axis.")
+@log_options
+@level
+@option(
+    "--taus",
+    group=ADVANCED,
+    metavar="SET",
+    type=TAUS,
+    default="octave",
+    show_default=True,
+    help="Averaging times: octave, decade, decade:20, all, or a list such as 0.1,1,10min.",
+)
+@option(
+    "--edf",
+    group=ADVANCED,
+    type=click.Choice(EDF_METHODS),
+    default="hybrid",
+    show_default=True,
+    help="Method for the degrees of freedom of the intervals.",
+)
 def command(
     *,
-    request: LogRequest = LOG,
-    how: dict[str, Any] = together(
-        dict,
-        {
-            "taus": option(
-                (
-                    "--taus SET=octave  Averaging times: octave, decade, decade:20, all, or a list such as "
-                    "0.1,1,10min."
-                ),
-                TAUS,
-            ),
-            "estimator": option(
-                "--estimator=overlapping  Kind of deviation.", click.Choice(list(ESTIMATORS))
-            ),
-            "edf": option(
-                "--edf=hybrid  Method for the degrees of freedom of the intervals.", click.Choice(EDF_METHODS)
-            ),
-        },
-    ),
-    level: float = option("--level P=0.95  Confidence level of every interval.", LEVEL),
-    as_json: bool = flag("--json  Print JSON instead of CSV, with the spectrum of each axis."),
-    _force: bool = FORCE,
+    request: LogRequest,
+    taus: str | tuple[float, ...],
+    estimator: str,
+    edf: str,
+    level: float,
+    as_json: bool,
 ) -> None:
     """Print the Allan deviations of every axis of LOG as CSV or JSON.
 
     The deviations are those of the rate signal, in rad/s and m/s^2. The columns low and high are the
     limits of the interval; edf is its degrees of freedom. Averaging times end where about 2 degrees of
     freedom are left, except with --taus all.
-
-    Examples::
-      imucal adev log.mcap > curves.csv
-      imucal adev log.bag --taus decade:20 --estimator modified
-      imucal adev log.csv --taus 0.1,1,10,10min --json
-
-    Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
-    analysed or are not noise at rest (with --strict: or a warning was found).
     """
     recording = request.read()
+    arguments = {"taus": taus, "estimator": estimator, "edf": edf}
     axes: list[dict[str, Any]] = []
     failures: dict[str, DataError] = {}
     for series in recording.series:
         try:
-            axes.append(_axis(series, how, level=level, spectrum=as_json))
+            axes.append(_axis(series, arguments, level=level, spectrum=as_json))
         except DataError as error:
             failures[series.name] = error
     if not axes:
@@ -98,15 +114,15 @@ def _findings(recording: Recording, failures: dict[str, DataError]) -> list[Find
     return [one for one in found if one.code != "no-data" or one.axis not in failures] + failed
 
 
-def _axis(series: AxisSeries, how: dict[str, Any], *, level: float, spectrum: bool) -> dict[str, Any]:
-    """Return the entry of one axis as JSON values; `how` contains arguments of `allan_curve`."""
+def _axis(series: AxisSeries, arguments: dict[str, Any], *, level: float, spectrum: bool) -> dict[str, Any]:
+    """Return the entry of one axis as JSON values, with the `arguments` of `allan_curve`."""
     from imucal import allan
 
     if series.n and not series.usable.any():
         raise DataError(
             f"{series.name}: no usable samples among {series.n}: all are NaN, infinite or absurdly large"
         )
-    curve = allan.allan_curve(series, **how)
+    curve = allan.allan_curve(series, **arguments)
     low, high = curve.confidence_interval(level)
     axis: dict[str, Any] = {
         **picked(series, "name sensor axis unit"),

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import click
 
 from imucal.cli import options_for
-from imucal.cli._declared import declared, flag, is_set, option
 from imucal.cli._printing import (
     as_typed,
     can_print,
@@ -20,9 +19,12 @@ from imucal.cli._printing import (
     width,
     wrapped,
 )
-from imucal.cli._report_input import REPORT, read_report
+from imucal.cli._report_input import read_report
+from imucal.cli.context import is_set
 from imucal.cli.fit import report_folder
-from imucal.cli.parameters import ANGLE, DURATION, LOG, PATH, LogRequest, Number
+from imucal.cli.log_request import LogRequest
+from imucal.cli.options import OUTPUT, Command, context_flag, flag, log_options, option, unwrapped
+from imucal.cli.param_types import ANGLE, DURATION, PATH, Number
 from imucal.cli.simulate import log_to_write
 from imucal.errors import ChoiceError, DataError
 from imucal.grading import remedy
@@ -35,36 +37,92 @@ if TYPE_CHECKING:
     from imucal.report.result import Report
 
 
-@declared
+_EPILOG = unwrapped("""
+Examples:
+  imucal calibrate poses.mcap --noise still-imucal --latitude 47.4
+  imucal calibrate poses.csv --gravity 9.8072 -o calibration
+  imucal calibrate poses.bag --apply corrected.mcap
+  imucal export calibration --to openvins -o imu.yaml
+
+Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 it can't be calibrated
+(with --strict: or a warning was found), 5 the result can't be written.
+""")
+
+
+@click.command(cls=Command, epilog=_EPILOG)
+@option(
+    "--noise",
+    metavar="REPORT",
+    type=PATH,
+    help="Noise report of a long log at rest: report.json or its folder.",
+)
+@option("--latitude", metavar="DEG", type=Number(-90, 90), help="Latitude of the place, to compute gravity.")
+@option("--height", metavar="M", type=Number(-500, 9000), help="Height above sea level, in m.")
+@option("--gravity", metavar="G", type=Number(9.7, 9.9), help="Gravity in m/s^2, if known.")
+@option(
+    "--rest-at-least",
+    metavar="TIME",
+    type=DURATION,
+    default="1s",
+    show_default=True,
+    help="Minimum length of a rest.",
+)
+@flag("--in-hand", help="Accept a hand-held IMU as at rest.")
+@option(
+    "--frame",
+    type=click.Choice(["kalibr", "imu-tk", "nearest"]),
+    default="kalibr",
+    show_default=True,
+    help="Axes of the result: x along the accelerometer's x axis (kalibr), z along its z axis (imu-tk), or "
+    "nearest to all three.",
+)
+@option(
+    "--turns",
+    metavar="ANGLE",
+    type=ANGLE,
+    help="Angle of turns on a table, such as 360deg or 360deg+-0.1deg.",
+)
+@flag("--no-gyro", help="Calibrate the accelerometer only.")
+@option(
+    "--apply",
+    "apply_to",
+    metavar="FILE",
+    type=PATH,
+    callback=log_to_write,
+    help="Also write the corrected log: .csv, .mcap or .bag.",
+)
+@context_flag("--force", help="Write the result even if a finding is an error.")
+@option(
+    "-o",
+    "--out",
+    group=OUTPUT,
+    metavar="DIR",
+    type=PATH,
+    help="Write the result to DIR. [default: NAME-calibration]",
+)
+@flag("--json", "as_json", group=OUTPUT, help="Print calibration.json on standard output.")
+@flag("--open", "opened", group=OUTPUT, help="Open the page in the browser.")
+@flag("--no-html", group=OUTPUT, help="Do not write the HTML page and the pictures.")
+@flag("--no-files", group=OUTPUT, help="Do not write any files.")
+@log_options
 def command(
     *,
-    request: LogRequest = LOG,
-    noise: Path | None = option(f"--noise REPORT  Noise report of a long log at rest: {REPORT}.", PATH),
-    latitude: float | None = option(
-        "--latitude DEG  Latitude of the place, to compute gravity.", Number(-90, 90)
-    ),
-    height: float | None = option("--height M  Height above sea level, in m.", Number(-500, 9000)),
-    gravity: float | None = option("--gravity G  Gravity in m/s^2, if known.", Number(9.7, 9.9)),
-    rest_at_least: float = option("--rest-at-least TIME=1s  Minimum length of a rest.", DURATION),
-    in_hand: bool = flag("--in-hand  Accept a hand-held IMU as at rest."),
-    frame: str = option(
-        "--frame=kalibr  Axes of the result: x along the accelerometer's x axis (kalibr), z along its z axis "
-        "(imu-tk), or nearest to all three.",
-        click.Choice(["kalibr", "imu-tk", "nearest"]),
-    ),
-    turns: str | None = option(
-        "--turns ANGLE  Angle of turns on a table, such as 360deg or 360deg+-0.1deg.", ANGLE
-    ),
-    no_gyro: bool = flag("--no-gyro  Calibrate the accelerometer only."),
-    out: Path | None = option("-o --out DIR  Write the result to DIR. [default: NAME-calibration]", PATH),
-    apply_to: Path | None = option(
-        "--apply FILE  Also write the corrected log: .csv, .mcap or .bag.", PATH, callback=log_to_write
-    ),
-    no_files: bool = flag("--no-files  Do not write any files."),
-    no_html: bool = flag("--no-html  Do not write the HTML page and the pictures."),
-    opened: bool = flag("--open  Open the page in the browser."),
-    as_json: bool = flag("--json  Print calibration.json on standard output."),
-    _force: bool = option("--force  Write the result even if a finding is an error.", is_flag=True),
+    request: LogRequest,
+    noise: Path | None,
+    latitude: float | None,
+    height: float | None,
+    gravity: float | None,
+    rest_at_least: float,
+    in_hand: bool,
+    frame: str,
+    turns: str | None,
+    no_gyro: bool,
+    out: Path | None,
+    apply_to: Path | None,
+    no_files: bool,
+    no_html: bool,
+    opened: bool,
+    as_json: bool,
 ) -> None:
     """Calibrate an IMU from a log of rests in many attitudes.
 
@@ -73,15 +131,6 @@ def command(
     surface are needed. The table shows scale error, misalignment, bias and g-sensitivity with
     95 % intervals. The folder contains calibration.json, calibration.html and three pictures.
     Raw counts are welcome: --accel-unit count --gyro-unit count.
-
-    Examples::
-      imucal calibrate poses.mcap --noise still-imucal --latitude 47.4
-      imucal calibrate poses.csv --gravity 9.8072 -o calibration
-      imucal calibrate poses.bag --apply corrected.mcap
-      imucal export calibration --to openvins -o imu.yaml
-
-    Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 it can't be calibrated
-    (with --strict: or a warning was found), 5 the result can't be written.
     """
     from imucal.calibration import calibrate
     from imucal.calibration.document import to_document

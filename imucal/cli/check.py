@@ -8,11 +8,13 @@ import click
 
 from imucal.checking import Baseline, CheckResult, Limits
 from imucal.checking.verdict import Row, Verdict
-from imucal.cli._declared import declared, flag, misuse, option
-from imucal.cli._fleet import FLEET_MODEL, is_fleet, read_fleet
+from imucal.cli._fleet import is_fleet, read_fleet
 from imucal.cli._printing import FULL, echo, print_json, print_note, width
-from imucal.cli._report_input import REPORT, REPORT_OR_LOG, load_calibrated, load_report, read_report
-from imucal.cli.parameters import FILE, PATH, LogRequest
+from imucal.cli._report_input import load_calibrated, load_report, read_report
+from imucal.cli.context import misuse
+from imucal.cli.log_request import LogRequest
+from imucal.cli.options import OUTPUT, ReportCommand, flag, fleet_model, option, report_options, unwrapped
+from imucal.cli.param_types import FILE, PATH
 from imucal.errors import ReadError
 from imucal.printable import printable
 from imucal.report.result import Report
@@ -20,32 +22,76 @@ from imucal.report.result import Report
 _COLOURS: dict[Verdict, str] = {"pass": "green", "fail": "red", "undecided": "yellow"}
 
 
-@declared
+_EPILOG = unwrapped("""
+Limits (TOML):
+  undecided = "pass"       # result if the interval contains the limit
+  [gyroscope]              # or accelerometer, or one axis: [gyro_z]
+  N = { max = 0.3, unit = "deg/sqrt(h)" }     # Q N B K R GM; default: SI
+  minimum = { max = 10, unit = "deg/h" }      # also mean, std
+  [log]
+  duration = { min = 2, unit = "h" }          # also rate, gaps, missing
+  [calibration.gyroscope]  # or calibration.accelerometer
+  scale = { max = 2, unit = "%" }             # bias, misalignment, residual
+  g_sensitivity = { max = 1, unit = "deg/s/g" }
+  [findings]
+  level = "warning"        # forbid this and more severe; also forbid, allow
+  [baseline]
+  report = "golden/report.json"
+  max_increase = 0.2
+
+Examples:
+  imucal check still-imucal --limits limits.toml
+  imucal check still.mcap --limits limits.toml --junit imucal.xml --github
+  imucal check still-imucal --baseline golden-imucal --json | jq .verdict
+  imucal check new-unit.mcap --fleet fleet
+  imucal check poses-calibration --limits limits.toml
+  imucal check still-imucal --config imu.yaml
+
+Exit codes: 0 nothing failed, 1 a limit failed, 2 usage or a wrong limits
+file, 3 the report or log can't be read, 4 the data can't be analysed.
+""")
+
+
+@click.command(cls=ReportCommand, epilog=_EPILOG)
+@option(
+    "--limits", "limits_file", metavar="FILE", type=FILE, help="Check against the limits in this TOML file."
+)
+@option(
+    "--baseline",
+    metavar="REPORT",
+    type=click.Path(),
+    help="Compare with an older report (report.json or its folder); by default, N, B and K may grow by 20 %.",
+)
+@option("--fleet", metavar="FLEET", type=PATH, help="Compare with the units in the folder of a fleet.")
+@option("--config", metavar="FILE", type=FILE, help="Check the noise parameters in a filter's config file.")
+@fleet_model
+@option(
+    "--undecided",
+    type=click.Choice(["pass", "fail"]),
+    help="Result if the interval contains the limit. [default: from the limits file, or pass]",
+)
+@flag("--json", "as_json", group=OUTPUT, help="Print the verdicts as JSON on standard output.")
+@option(
+    "--junit",
+    group=OUTPUT,
+    metavar="FILE",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Also write JUnit XML to FILE.",
+)
+@flag("--github", group=OUTPUT, help="Also print GitHub annotations (on standard error with --json).")
+@report_options
 def command(
     *,
-    limits_file: Path | None = option("--limits FILE  Check against the limits in this TOML file.", FILE),
-    baseline: str | None = option(
-        (
-            f"--baseline REPORT  Compare with an older report ({REPORT}); by default, N, B and K may grow by "
-            "20 %."
-        ),
-        click.Path(),
-    ),
-    fleet: Path | None = option("--fleet FLEET  Compare with the units in the folder of a fleet.", PATH),
-    config: Path | None = option(
-        "--config FILE  Check the noise parameters in a filter's config file.", FILE
-    ),
-    fleet_model: str | None = FLEET_MODEL,
-    undecided: str | None = option(
-        "--undecided  Result if the interval contains the limit. [default: from the limits file, or pass]",
-        click.Choice(["pass", "fail"]),
-    ),
-    as_json: bool = flag("--json  Print the verdicts as JSON on standard output."),
-    junit: Path | None = option(
-        "--junit FILE  Also write JUnit XML to FILE.", click.Path(dir_okay=False, path_type=Path)
-    ),
-    github: bool = flag("--github  Also print GitHub annotations (on standard error with --json)."),
-    request: LogRequest = REPORT_OR_LOG,
+    limits_file: Path | None,
+    baseline: str | None,
+    fleet: Path | None,
+    config: Path | None,
+    fleet_model: str | None,
+    undecided: str | None,
+    as_json: bool,
+    junit: Path | None,
+    github: bool,
+    request: LogRequest,
 ) -> None:
     """Pass or fail a report, a log or a calibration against limits.
 
@@ -62,33 +108,6 @@ def command(
     writes. Too small a value fails. Too large a value fails if it matches a common mistake: a factor of
     the rate, degrees, g, a square, or the number of another term. Each row contains the line to write
     instead.
-
-    Limits (TOML)::
-      undecided = "pass"       # result if the interval contains the limit
-      [gyroscope]              # or accelerometer, or one axis: [gyro_z]
-      N = { max = 0.3, unit = "deg/sqrt(h)" }     # Q N B K R GM; default: SI
-      minimum = { max = 10, unit = "deg/h" }      # also mean, std
-      [log]
-      duration = { min = 2, unit = "h" }          # also rate, gaps, missing
-      [calibration.gyroscope]  # or calibration.accelerometer
-      scale = { max = 2, unit = "%" }             # bias, misalignment, residual
-      g_sensitivity = { max = 1, unit = "deg/s/g" }
-      [findings]
-      level = "warning"        # forbid this and more severe; also forbid, allow
-      [baseline]
-      report = "golden/report.json"
-      max_increase = 0.2
-
-    Examples::
-      imucal check still-imucal --limits limits.toml
-      imucal check still.mcap --limits limits.toml --junit imucal.xml --github
-      imucal check still-imucal --baseline golden-imucal --json | jq .verdict
-      imucal check new-unit.mcap --fleet fleet
-      imucal check poses-calibration --limits limits.toml
-      imucal check still-imucal --config imu.yaml
-
-    Exit codes: 0 nothing failed, 1 a limit failed, 2 usage or a wrong limits
-    file, 3 the report or log can't be read, 4 the data can't be analysed.
     """
     from imucal.calibration.writer import is_calibration
     from imucal.checking.verdict import github_annotations, junit_xml, to_document

@@ -5,11 +5,22 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._declared import argument, declared, flag, is_set, misuse, option
-from imucal.cli._fleet import FLEET_MODEL, is_fleet, read_fleet
+from imucal.cli._fleet import is_fleet, read_fleet
 from imucal.cli._printing import FULL, as_typed, picked, print_json, print_note, width
-from imucal.cli._report_input import MODELS, given_report, is_model, read_report, with_model
-from imucal.cli.parameters import DATASHEET, QUIET, Number
+from imucal.cli._report_input import given_report, is_model, read_report, with_model
+from imucal.cli.context import misuse
+from imucal.cli.options import (
+    OUTPUT,
+    Command,
+    datasheet,
+    flag,
+    fleet_model,
+    model_options,
+    option,
+    quiet,
+    unwrapped,
+)
+from imucal.cli.param_types import Number
 from imucal.comparison import Comparison, Difference, compare
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
@@ -22,24 +33,55 @@ from imucal.units import DatasheetUnit
 SCHEMA = "imucal/comparison/1"
 
 
-@declared
+_EPILOG = unwrapped("""
+Examples:
+  imucal compare monday-imucal tuesday-imucal
+  imucal compare golden-imucal new-imucal --tolerance 0.1
+  imucal compare fleet-2023 fleet-2024
+  imucal compare still-imucal "N=0.3deg/sqrt(h) + B=5deg/h" --tolerance 1
+  imucal compare a-imucal b-imucal --json -q | jq '.differences[].outcome'
+
+Exit codes: 0 no significant difference (or --no-fail), 1 a term differs,
+2 usage, 3 a report can't be read, 4 the reports have no axis in common.
+""")
+
+
+@click.command(cls=Command, epilog=_EPILOG)
+@click.argument("a", metavar="A", type=click.Path())
+@click.argument("b", metavar="B", type=click.Path(), required=False)
+@model_options
+@option(
+    "--alpha",
+    metavar="P",
+    type=Number(0, 1, min_open=True, max_open=True),
+    default=0.05,
+    show_default=True,
+    help="Probability of a false alarm in any term.",
+)
+@option(
+    "--tolerance",
+    metavar="FRACTION",
+    type=Number(min=0),
+    default=0.0,
+    show_default=True,
+    help="Relative difference to ignore, such as 0.05.",
+)
+@flag("--no-fail", help="Exit with code 0 even if a term differs.")
+@fleet_model
+@flag("--json", "as_json", group=OUTPUT, help="Print the comparison as JSON (SI) on standard output.")
+@datasheet
+@quiet
 def command(
     *,
-    a: str = argument("A", click.Path()),
-    b: str | None = argument("B", click.Path(), required=False),
-    models: dict[Sensor, str] = MODELS,
-    alpha: float = option(
-        "--alpha P=0.05  Probability of a false alarm in any term.",
-        Number(0, 1, min_open=True, max_open=True),
-    ),
-    tolerance: float = option(
-        "--tolerance FRACTION=0.0  Relative difference to ignore, such as 0.05.", Number(min=0)
-    ),
-    no_fail: bool = flag("--no-fail  Exit with code 0 even if a term differs."),
-    fleet_model: str | None = FLEET_MODEL,
-    _datasheet: bool = DATASHEET,
-    as_json: bool = flag("--json  Print the comparison as JSON (SI) on standard output."),
-    _quiet: bool = QUIET,
+    a: str,
+    b: str | None,
+    models: dict[Sensor, str],
+    alpha: float,
+    tolerance: float,
+    no_fail: bool,
+    fleet_model: str | None,
+    datasheet: bool,
+    as_json: bool,
 ) -> None:
     """Find the noise terms of two reports that differ significantly.
 
@@ -51,23 +93,13 @@ def command(
     For two fleets (folders of 'imucal fleet run') the median units are compared. A or B may be a
     model, such as a data sheet's: give the gyroscope's as an argument, or --gyro and --accel instead
     of B.
-
-    Examples::
-      imucal compare monday-imucal tuesday-imucal
-      imucal compare golden-imucal new-imucal --tolerance 0.1
-      imucal compare fleet-2023 fleet-2024
-      imucal compare still-imucal "N=0.3deg/sqrt(h) + B=5deg/h" --tolerance 1
-      imucal compare a-imucal b-imucal --json -q | jq '.differences[].outcome'
-
-    Exit codes: 0 no significant difference (or --no-fail), 1 a term differs,
-    2 usage, 3 a report can't be read, 4 the reports have no axis in common.
     """
     result = compare(*_both(a, b, models, fleet_model), alpha=alpha, tolerance=tolerance)
     if as_json:
         print_json(to_document(result))
     else:
         # Not `echo`, which escapes colours; the table contains no file names.
-        click.echo(_table(result))
+        click.echo(_table(result, datasheet=datasheet))
     for name, path in (("A", result.a), ("B", result.b)):
         print_note(f"{name}: {path}")
     for note in result.notes:
@@ -136,11 +168,11 @@ def _estimate(estimate: Estimate | None) -> dict[str, object] | None:
 _ROW = "{:<8}{:<6}{:<17}{:>11}{:>11}{:>8}{:>9}  {}".format
 
 
-def _table(result: Comparison) -> str:
+def _table(result: Comparison, *, datasheet: bool) -> str:
     narrow = width() < FULL
     lines = [] if narrow else [_ROW("axis", "term", "unit", "A", "B", "B/A", "p", "outcome")]
     for difference in result.differences:
-        lines += _lines(difference, narrow=narrow)
+        lines += _lines(difference, narrow=narrow, datasheet=datasheet)
     beyond = f" beyond {result.tolerance:.3g} of A" if result.tolerance else ""
     count = len(result.significant)
     text = f"{count} of {result.tested} terms differ" if count else "no significant difference"
@@ -149,10 +181,10 @@ def _table(result: Comparison) -> str:
     return "\n".join([*lines, *([verdict, tests] if narrow else [f"{verdict} {tests}"])])
 
 
-def _lines(difference: Difference, *, narrow: bool) -> list[str]:
+def _lines(difference: Difference, *, narrow: bool, datasheet: bool) -> list[str]:
     """Return a difference as a row, or as two lines on a narrow terminal."""
     unit = DatasheetUnit(difference.unit, 1.0)
-    if is_set("datasheet") and difference.unit != "s":
+    if datasheet and difference.unit != "s":
         unit = TERMS[difference.symbol].datasheet_unit(difference.sensor)
     ratio = "" if difference.ratio is None else f"{difference.ratio:.4g}"
     p = ""

@@ -7,10 +7,23 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imucal._version import __version__
-from imucal.cli._declared import declared, flag, misuse, option
 from imucal.cli._printing import FITTING, echo, print_findings, print_json, print_note, progress, refuse
+from imucal.cli.context import misuse
 from imucal.cli.fit import report_folder
-from imucal.cli.parameters import DURATION, FORCE, LOG, PATH, PICTURES, STRUCTURE, LogRequest
+from imucal.cli.log_request import LogRequest
+from imucal.cli.options import (
+    OUTPUT,
+    Command,
+    flag,
+    force,
+    log_options,
+    model,
+    no_clean,
+    option,
+    pictures,
+    unwrapped,
+)
+from imucal.cli.param_types import DURATION, PATH
 from imucal.errors import DataError
 from imucal.grading import remedy
 from imucal.recording import AxisSeries, Recording, Sensor
@@ -28,23 +41,55 @@ _SHAPES = {
 _AXES = tuple(f"{sensor.short}_{axis}" for sensor in Sensor for axis in "xyz")
 
 
-@declared
+_EPILOG = unwrapped("""
+Examples:
+  imucal decompose log.mcap
+  imucal decompose log.bag --axis gyro_z --model "N + B + K" -o bias
+  imucal decompose log.csv --every 10s --npz
+  imucal decompose log.mcap --json -q | jq '.axes[].components'
+
+Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
+analysed (with --strict: or a warning was found), 5 the files can't be
+written, 130 interrupted.
+""")
+
+
+@click.command(cls=Command, epilog=_EPILOG)
+@option(
+    "--axis", "axes", type=click.Choice(_AXES), multiple=True, help="Use only this axis; may be repeated."
+)
+@option(
+    "--every",
+    metavar="TIME",
+    type=DURATION,
+    help="Time between rows of the CSV. [default: at most 10000 rows]",
+)
+@force
+@option(
+    "-o",
+    "--out",
+    group=OUTPUT,
+    metavar="DIR",
+    type=PATH,
+    help="Write the files to DIR. [default: NAME-decomposed]",
+)
+@flag("--json", "as_json", group=OUTPUT, help="Print decomposition.json on standard output.")
+@pictures
+@flag("--npz", group=OUTPUT, help="Also write NAME.npz, with a value for every sample.")
+@log_options
+@model
+@no_clean
 def command(
     *,
-    request: LogRequest = LOG,
-    out: Path | None = option("-o --out DIR  Write the files to DIR. [default: NAME-decomposed]", PATH),
-    axes: tuple[str, ...] = option(
-        "--axis  Use only this axis; may be repeated.", click.Choice(_AXES), multiple=True
-    ),
-    model: str = option('--model TEXT=auto  Fit these terms, such as "N + B + K" or "N + 2*GM".', STRUCTURE),
-    every: float | None = option(
-        "--every TIME  Time between rows of the CSV. [default: at most 10000 rows]", DURATION
-    ),
-    npz: bool = flag("--npz  Also write NAME.npz, with a value for every sample."),
-    formats: tuple[str, ...] = PICTURES,
-    no_clean: bool = flag("--no-clean  Keep spikes instead of leaving them out."),
-    as_json: bool = flag("--json  Print decomposition.json on standard output."),
-    _force: bool = FORCE,
+    request: LogRequest,
+    out: Path | None,
+    axes: tuple[str, ...],
+    model: str,
+    every: float | None,
+    npz: bool,
+    formats: tuple[str, ...],
+    no_clean: bool,
+    as_json: bool,
 ) -> None:
     """Draw the bias of every axis of LOG over time, and its parts.
 
@@ -52,16 +97,6 @@ def command(
     walk, flicker, Gauss-Markov, ramp) are estimated from all samples before and after, with standard
     errors. AXIS.png shows the bias and the samples. AXIS.csv contains the bias and its parts with
     standard errors (_se). decomposition.json contains the model.
-
-    Examples::
-      imucal decompose log.mcap
-      imucal decompose log.bag --axis gyro_z --model "N + B + K" -o bias
-      imucal decompose log.csv --every 10s --npz
-      imucal decompose log.mcap --json -q | jq '.axes[].components'
-
-    Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
-    analysed (with --strict: or a warning was found), 5 the files can't be
-    written, 130 interrupted.
     """
     from imucal.pipeline import Settings, characterize
     from imucal.report.figure_bias import SCHEMA, check_folder, write_document

@@ -2,10 +2,23 @@
 
 from pathlib import Path
 
-from imucal.cli._declared import declared, flag, misuse, option
+import click
+
 from imucal.cli._printing import FULL, echo, picked, print_json, print_note, refuse, width, wrapped
-from imucal.cli._report_input import REPORT_OR_LOG, load_report
-from imucal.cli.parameters import DURATION, FORCE, FORMATS, PATH, LogRequest, Text
+from imucal.cli._report_input import load_report
+from imucal.cli.context import misuse
+from imucal.cli.log_request import LogRequest
+from imucal.cli.options import (
+    OUTPUT,
+    PICTURE_FORMATS,
+    ReportCommand,
+    flag,
+    force,
+    option,
+    report_options,
+    unwrapped,
+)
+from imucal.cli.param_types import DURATION, PATH, Text
 from imucal.clock import seconds_of
 from imucal.grading import remedy
 from imucal.prediction import Drift, drift
@@ -21,18 +34,54 @@ def _times(text: str) -> tuple[float, ...]:
     return tuple(sorted({seconds_of(part) for part in text.split(",")}))
 
 
-@declared
+_EPILOG = unwrapped("""
+Examples:
+  imucal drift still-imucal
+  imucal drift still.mcap --rest 30s --times 5s,30s,2min -o drift.png
+  imucal drift still-imucal --all-axes --json -q
+
+Exit codes: 0 done, 2 usage, 3 the report or log can't be read, 4 the data
+are not noise at rest, 5 the picture can't be written.
+""")
+
+
+@click.command(cls=ReportCommand, epilog=_EPILOG)
+@option(
+    "--rest",
+    metavar="TIME",
+    type=DURATION,
+    default="60s",
+    show_default=True,
+    help="Length of the rest in which the bias is averaged.",
+)
+@option(
+    "--times",
+    metavar="LIST",
+    type=Text("times", _times),
+    default="1s,10s,60s,5min",
+    show_default=True,
+    help="Times without aiding after the rest.",
+)
+@flag("--all-axes", help="Show every axis instead of each sensor's worst.")
+@force
+@option(
+    "-o",
+    "--out",
+    group=OUTPUT,
+    metavar="FILE",
+    type=PATH,
+    help="Also draw a picture to FILE: .png, .svg or .pdf.",
+)
+@flag("--json", "as_json", group=OUTPUT, help="Print the drift as JSON (SI) on standard output.")
+@report_options
 def command(
     *,
-    rest: float = option("--rest TIME=60s  Length of the rest in which the bias is averaged.", DURATION),
-    times: tuple[float, ...] = option(
-        "--times LIST=1s,10s,60s,5min  Times without aiding after the rest.", Text("times", _times)
-    ),
-    all_axes: bool = flag("--all-axes  Show every axis instead of each sensor's worst."),
-    out: Path | None = option("-o --out FILE  Also draw a picture to FILE: .png, .svg or .pdf.", PATH),
-    as_json: bool = flag("--json  Print the drift as JSON (SI) on standard output."),
-    _force: bool = FORCE,
-    request: LogRequest = REPORT_OR_LOG,
+    rest: float,
+    times: tuple[float, ...],
+    all_axes: bool,
+    out: Path | None,
+    as_json: bool,
+    request: LogRequest,
 ) -> None:
     """Predict the drift of dead reckoning after a rest.
 
@@ -40,19 +89,11 @@ def command(
     during the rest; then nothing aids the IMU. Angles drift with the gyroscope's noise. Velocity and
     position drift with the accelerometer's noise and, through tilt, with g times the gyroscope's.
     The table shows one standard deviation with its limits, and the dominant term.
-
-    Examples::
-      imucal drift still-imucal
-      imucal drift still.mcap --rest 30s --times 5s,30s,2min -o drift.png
-      imucal drift still-imucal --all-axes --json -q
-
-    Exit codes: 0 done, 2 usage, 3 the report or log can't be read, 4 the data
-    are not noise at rest, 5 the picture can't be written.
     """
-    form = out.suffix.lstrip(".") if out else FORMATS[0]
-    if form not in FORMATS:
+    form = out.suffix.lstrip(".") if out else PICTURE_FORMATS[0]
+    if form not in PICTURE_FORMATS:
         misuse(
-            f"{out} is not the name of a picture; use one of the endings .{', .'.join(FORMATS)}",
+            f"{out} is not the name of a picture; use one of the endings .{', .'.join(PICTURE_FORMATS)}",
             "-o",
             "--out",
         )

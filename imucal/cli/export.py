@@ -5,7 +5,7 @@ import os
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, get_args
 
 import click
 from click.shell_completion import CompletionItem
@@ -14,11 +14,13 @@ from imucal.atomic import write_configs
 from imucal.calibration.document import load_intrinsics
 from imucal.calibration.exports import CALIBRATION_TARGETS, find_calibration_target, render_calibration
 from imucal.calibration.writer import NOISE_NAME, is_calibration
-from imucal.cli._declared import declared, is_set, misuse, option, together
-from imucal.cli._fleet import FLEET_MODEL, is_fleet, read_fleet
+from imucal.cli._fleet import is_fleet, read_fleet
 from imucal.cli._printing import echo, print_note, refuse
-from imucal.cli._report_input import REPORT_OR_LOG, load_report
-from imucal.cli.parameters import DURATION, FORCE, LogRequest, Text
+from imucal.cli._report_input import load_report
+from imucal.cli.context import is_set, misuse
+from imucal.cli.log_request import LogRequest
+from imucal.cli.options import OUTPUT, ReportCommand, fleet_model, force, option, report_options, unwrapped
+from imucal.cli.param_types import DURATION, Text
 from imucal.errors import DataError
 from imucal.grading import remedy
 from imucal.recording import Sensor
@@ -72,88 +74,136 @@ _OF_CALIBRATION = "\n  ".join(textwrap.wrap(", ".join(CALIBRATION_TARGETS), 76))
 _LISTED = "\n".join(f"  {name:<10} {title}" for name, title in _TITLES.items())
 
 
-@declared
+_FORMATS = unwrapped(f"""
+Formats:
+{_LISTED}
+  all        all formats, into a folder
+Formats of a calibration, with noise numbers if it was made with --noise:
+  {_OF_CALIBRATION}
+""")
+_EPILOG = unwrapped("""
+Examples:
+  imucal export still-imucal --to kalibr -o imu.yaml
+  imucal export still-imucal/report.json --to all -o configs
+  imucal export still.mcap --to vins --axis-policy rms -o -
+  imucal export still-imucal --to openvins --inflate white=5,walk=10
+  imucal export still-imucal --to px4 --horizon 10min --step 0.2s
+  imucal export fleet --value tolerance --to kalibr
+  imucal export poses-calibration --to openvins -o imu.yaml
+
+Exit codes: 0 done, 2 usage, 3 the report or log can't be read, 4 the data
+are not noise at rest or a number that the format needs is missing, 5 the
+file can't be written.
+""")
+
+
+@click.command(cls=ReportCommand, epilog=f"{_FORMATS}\n\n{_EPILOG}")
+@option(
+    "--to",
+    "targets",
+    metavar="NAME",
+    type=Text("target", _target_name),
+    shell_complete=_complete_target,
+    multiple=True,
+    required=True,
+    help="Write this format (see below), or all; may be repeated.",
+)
+@option(
+    "--axis-policy",
+    type=click.Choice(get_args(exports.AxisPolicy)),
+    default="worst",
+    show_default=True,
+    help="For formats with one number per sensor, write the largest of the axes, their root mean square, or "
+    "one axis.",
+)
+@option(
+    "--inflate",
+    metavar="FACTORS",
+    type=Text("inflation", _factors),
+    default={},
+    help="Multiply white (N), walk (K) or flicker (B, GM), such as white=2,walk=10.",
+)
+@option(
+    "--unidentified",
+    type=click.Choice(get_args(exports.Unidentified)),
+    default="bound",
+    show_default=True,
+    help="Write the upper bound of a term that the data do not show, or refuse.",
+)
+@option(
+    "--numbers",
+    type=click.Choice(get_args(exports.Basis)),
+    default="covered",
+    show_default=True,
+    help="For formats with white noise and a walk, write the smallest values that cover the fitted spectrum, "
+    "or N and K of the fit.",
+)
+@option(
+    "--horizon",
+    "horizon_s",
+    metavar="TIME",
+    type=DURATION,
+    help="Longest time without aiding. [default: 60s with cameras and lidars, otherwise 300s]",
+)
+@option(
+    "--step",
+    "step_s",
+    metavar="TIME",
+    type=DURATION,
+    default="1s",
+    show_default=True,
+    help="Time between aiding updates of the filter.",
+)
+@option(
+    "--value",
+    type=click.Choice(["tolerance", "median"]),
+    help="Write a fleet's tolerance bound, which suits every unit, or the median unit. [default: tolerance]",
+)
+@fleet_model
+@option("--rostopic", metavar="NAME", help="IMU topic to write into the files. [default: the log's topic]")
+@force
+@option(
+    "-o",
+    "--out",
+    group=OUTPUT,
+    metavar="PATH",
+    type=click.Path(allow_dash=True),
+    help="Write to this file or folder (a name that ends with / is a folder), or - for standard output. "
+    f"[default: the format's file name; for several formats the folder {_FOLDER}]",
+)
+@report_options
 def command(
     *,
-    targets: tuple[str, ...] = option(
-        "--to NAME  Write this format (see below), or all; may be repeated.",
-        Text("target", _target_name),
-        shell_complete=_complete_target,
-        multiple=True,
-        required=True,
-    ),
-    out: str | None = option(
-        "-o --out PATH  Write to this file or folder (a name that ends with / is a folder), or - for "
-        "standard "
-        f"output. [default: the format's file name; for several formats the folder {_FOLDER}]",
-        click.Path(allow_dash=True),
-    ),
-    options: dict[str, Any] = together(
-        dict,
-        {
-            "axis_policy": option(
-                "--axis-policy=worst  For formats with one number per sensor, write the largest of the "
-                "axes, their root mean square, or one axis.",
-                click.Choice(get_args(exports.AxisPolicy)),
-            ),
-            "inflate": option(
-                "--inflate FACTORS  Multiply white (N), walk (K) or flicker (B, GM), such as "
-                "white=2,walk=10.",
-                Text("inflation", _factors),
-                default={},
-            ),
-            "unidentified": option(
-                "--unidentified=bound  Write the upper bound of a term that the data do not show, or refuse.",
-                click.Choice(get_args(exports.Unidentified)),
-            ),
-            "numbers": option(
-                "--numbers=covered  For formats with white noise and a walk, write the smallest values "
-                "that cover the fitted spectrum, or N and K of the fit.",
-                click.Choice(get_args(exports.Basis)),
-            ),
-            "horizon_s": option(
-                "--horizon TIME  Longest time without aiding. [default: 60s with cameras and lidars, "
-                "otherwise 300s]",
-                DURATION,
-            ),
-            "step_s": option("--step TIME=1s  Time between aiding updates of the filter.", DURATION),
-        },
-    ),
-    value: "FleetValue | None" = option(
-        "--value  Write a fleet's tolerance bound, which suits every unit, or the median unit. [default: "
-        "tolerance]",
-        click.Choice(["tolerance", "median"]),
-    ),
-    fleet_model: str | None = FLEET_MODEL,
-    rostopic: str | None = option(
-        "--rostopic NAME  IMU topic to write into the files. [default: the log's topic]"
-    ),
-    _force: bool = FORCE,
-    request: LogRequest = REPORT_OR_LOG,
+    targets: tuple[str, ...],
+    out: str | None,
+    axis_policy: exports.AxisPolicy,
+    inflate: dict[str, float],
+    unidentified: exports.Unidentified,
+    numbers: exports.Basis,
+    horizon_s: float | None,
+    step_s: float,
+    value: "FleetValue | None",
+    fleet_model: str | None,
+    rostopic: str | None,
+    request: LogRequest,
 ) -> None:
     """Write the config files that filters and simulators read.
 
     REPORT is a report.json, its folder, a log (which is characterised first), or the folder of a
     fleet or a calibration. Comments in each file show which numbers are continuous or discrete, their
     formula, and the axis.
-
-    Examples::
-      imucal export still-imucal --to kalibr -o imu.yaml
-      imucal export still-imucal/report.json --to all -o configs
-      imucal export still.mcap --to vins --axis-policy rms -o -
-      imucal export still-imucal --to openvins --inflate white=5,walk=10
-      imucal export still-imucal --to px4 --horizon 10min --step 0.2s
-      imucal export fleet --value tolerance --to kalibr
-      imucal export poses-calibration --to openvins -o imu.yaml
-
-    Exit codes: 0 done, 2 usage, 3 the report or log can't be read, 4 the data
-    are not noise at rest or a number that the format needs is missing, 5 the
-    file can't be written.
     """
-    horizon_s, step_s = options["horizon_s"], options["step_s"]
     if horizon_s is not None and horizon_s <= step_s:
         misuse(f"{horizon_s:g} s is not longer than the --step of {step_s:g} s", "--horizon")
-    chosen = exports.ExportOptions(**options, topic=rostopic)
+    chosen = exports.ExportOptions(
+        axis_policy=axis_policy,
+        inflate=inflate,
+        unidentified=unidentified,
+        numbers=numbers,
+        horizon_s=horizon_s,
+        step_s=step_s,
+        topic=rostopic,
+    )
     if is_calibration(path := Path(request.logs[0])):
         _export_calibration(path, targets, out, chosen)
         return
@@ -171,16 +221,6 @@ def command(
     _write(texts, out, several=len(names) > 1)
     for text in _remarks(report, chosen.numbers):
         print_note(text)
-
-
-command.epilog = f"""\b
-Formats:
-{_LISTED}
-  all        all formats, into a folder
-Formats of a calibration, with noise numbers if it was made with --noise:
-  {_OF_CALIBRATION}
-
-{command.epilog}"""
 
 
 def _write(texts: dict[str, str], out: str | None, *, several: bool) -> None:

@@ -2,14 +2,31 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from imucal.arguments import REMOVED
-from imucal.cli._declared import declared, flag, is_set, misuse, option, together
 from imucal.cli._printing import as_typed, echo, name_of_log, print_findings, print_note, refuse, width
-from imucal.cli.parameters import DATASHEET, FORCE, LEVEL, LOG, PATH, PICTURES, STRUCTURE, TAU_SET, LogRequest
+from imucal.cli.context import is_set, misuse
+from imucal.cli.log_request import LogRequest
+from imucal.cli.options import (
+    ADVANCED,
+    MODEL,
+    OUTPUT,
+    SAMPLES,
+    Command,
+    datasheet,
+    flag,
+    force,
+    level,
+    log_options,
+    model,
+    no_clean,
+    option,
+    pictures,
+    unwrapped,
+)
+from imucal.cli.param_types import PATH, TAU_SET
 from imucal.fitting import CRITERIA, METHODS, WEIGHTS
 from imucal.fitting.settings import MAX_SEGMENTS
 from imucal.grading import remedy, unit_option
@@ -20,57 +37,134 @@ if TYPE_CHECKING:
     from imucal.report.result import Report
 
 
-@declared
+_EPILOG = unwrapped("""
+Examples:
+  imucal fit log.mcap
+  imucal fit s3://bucket/log.mcap
+  imucal fit log.bag --topic /imu/data_raw --skip 10min -o report
+  imucal fit log.csv --gyro-unit deg/s --accel-unit g --model "N + B + K"
+  imucal fit drive.mcap --rests
+  imucal fit log.mcap --json --no-report -q | jq '.axes[].fit.terms.N'
+
+Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
+analysed or are not noise at rest (with --strict: or a warning was found),
+5 the report can't be written, 130 interrupted.
+""")
+
+
+@click.command(cls=Command, epilog=_EPILOG)
+@option(
+    "--jobs",
+    metavar="N",
+    type=click.IntRange(1),
+    help="Number of axes to fit in parallel. [default: number of processors]",
+)
+@force
+@option(
+    "-o",
+    "--out",
+    group=OUTPUT,
+    metavar="DIR",
+    type=PATH,
+    help="Write the report to DIR. [default: NAME-imucal]",
+)
+@flag("--json", "as_json", group=OUTPUT, help="Print report.json on standard output.")
+@flag("--open", "opened", group=OUTPUT, help="Open the page in the browser.")
+@pictures
+@option(
+    "--figure",
+    group=OUTPUT,
+    type=click.Choice(["report", "paper"]),
+    default="report",
+    show_default=True,
+    help="paper: also draw curves for one column of a paper (NAME-paper.pdf; SVG with --format svg).",
+)
+@flag("--no-html", group=OUTPUT, help="Do not write the HTML page.")
+@flag("--no-report", group=OUTPUT, help="Do not write any files.")
+@datasheet
+@log_options
+@flag("--rests", group=SAMPLES, help="Fit all rests of a drive together.")
+@model
+@level
+@option(
+    "--method",
+    group=MODEL,
+    type=click.Choice(METHODS),
+    default="mle",
+    show_default=True,
+    help="Estimator: likelihood, wavelet moments or slopes.",
+)
+@option(
+    "--taus",
+    group=ADVANCED,
+    metavar="SET",
+    type=TAU_SET,
+    default="octave",
+    show_default=True,
+    help="Averaging times: octave, decade, decade:20 or all.",
+)
+@option(
+    "--edf",
+    group=ADVANCED,
+    type=click.Choice(["hybrid", "model", "greenhall"]),
+    default="hybrid",
+    show_default=True,
+    help="Method for the degrees of freedom of the intervals.",
+)
+@no_clean
+@option(
+    "--criterion",
+    "--ic",
+    "criterion",
+    group=ADVANCED,
+    type=click.Choice(CRITERIA),
+    default="chance",
+    show_default=True,
+    help="Criterion for choosing the model.",
+)
+@option(
+    "--weights",
+    group=ADVANCED,
+    type=click.Choice(WEIGHTS),
+    default="full",
+    show_default=True,
+    help="Weights of the gmwm fit.",
+)
+@option(
+    "--segments",
+    group=ADVANCED,
+    metavar="N",
+    type=click.IntRange(1, MAX_SEGMENTS),
+    default=8,
+    show_default=True,
+    help="Compare the noise of N parts of the log; 1 disables this.",
+)
+@flag("--second-opinion", group=ADVANCED, help="Also compare with a fit of the Allan curve.")
+@flag("--bins", group=ADVANCED, help="Add binned spectra to report.json, for pooling logs.")
 def command(
     *,
-    request: LogRequest = LOG,
-    out: Path | None = option("-o --out DIR  Write the report to DIR. [default: NAME-imucal]", PATH),
-    rests: bool = flag("--rests  Fit all rests of a drive together."),
-    choices: dict[str, Any] = together(
-        dict,
-        {
-            "model": option(
-                '--model TEXT=auto  Fit these terms, such as "N + B + K" or "N + 2*GM".', STRUCTURE
-            ),
-            "method": option(
-                "--method=mle  Estimator: likelihood, wavelet moments or slopes.", click.Choice(METHODS)
-            ),
-            "level": option("--level P=0.95  Confidence level of every interval.", LEVEL),
-            "criterion": option(
-                "--criterion --ic=chance  Criterion for choosing the model.", click.Choice(CRITERIA)
-            ),
-            "weights": option("--weights=full  Weights of the gmwm fit.", click.Choice(WEIGHTS)),
-            "segments": option(
-                "--segments N=8  Compare the noise of N parts of the log; 1 disables this.",
-                click.IntRange(1, MAX_SEGMENTS),
-            ),
-            "second_opinion": flag("--second-opinion  Also compare with a fit of the Allan curve."),
-            "taus": option("--taus SET=octave  Averaging times: octave, decade, decade:20 or all.", TAU_SET),
-            "edf": option(
-                "--edf=hybrid  Method for the degrees of freedom of the intervals.",
-                click.Choice(["hybrid", "model", "greenhall"]),
-            ),
-        },
-    ),
-    no_clean: bool = flag("--no-clean  Keep spikes instead of leaving them out."),
-    _verify: bool = flag("--verify  (removed)", hidden=True),
-    datasheet: bool = DATASHEET,
-    formats: tuple[str, ...] = PICTURES,
-    figure: str = option(
-        "--figure=report  paper: also draw curves for one column of a paper (NAME-paper.pdf; SVG with "
-        "--format svg).",
-        click.Choice(["report", "paper"]),
-    ),
-    no_html: bool = flag("--no-html  Do not write the HTML page."),
-    opened: bool = flag("--open  Open the page in the browser."),
-    no_report: bool = flag("--no-report  Do not write any files."),
-    jobs: int | None = option(
-        "--jobs N  Number of axes to fit in parallel. [default: number of processors]",
-        click.IntRange(1),
-    ),
-    bins: bool = flag("--bins  Add binned spectra to report.json, for pooling logs."),
-    as_json: bool = flag("--json  Print report.json on standard output."),
-    _force: bool = FORCE,
+    request: LogRequest,
+    rests: bool,
+    model: str,
+    method: str,
+    level: float,
+    criterion: str,
+    weights: str,
+    segments: int,
+    second_opinion: bool,
+    taus: str,
+    edf: str,
+    no_clean: bool,
+    bins: bool,
+    jobs: int | None,
+    datasheet: bool,
+    out: Path | None,
+    no_report: bool,
+    formats: tuple[str, ...],
+    figure: str,
+    no_html: bool,
+    opened: bool,
+    as_json: bool,
 ) -> None:
     """Fit a noise model to every axis of LOG and write a report.
 
@@ -82,18 +176,6 @@ def command(
     The table on standard output lists the noise terms of each axis with their intervals. The
     report folder contains report.json, report.html and the pictures. Table and report begin with a
     verdict: good, look first or not noise. With not noise, the exit code is 4.
-
-    Examples::
-      imucal fit log.mcap
-      imucal fit s3://bucket/log.mcap
-      imucal fit log.bag --topic /imu/data_raw --skip 10min -o report
-      imucal fit log.csv --gyro-unit deg/s --accel-unit g --model "N + B + K"
-      imucal fit drive.mcap --rests
-      imucal fit log.mcap --json --no-report -q | jq '.axes[].fit.terms.N'
-
-    Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
-    analysed or are not noise at rest (with --strict: or a warning was found),
-    5 the report can't be written, 130 interrupted.
     """
     from imucal.cli._result_table import summary_table
     from imucal.pipeline import Settings
@@ -101,11 +183,22 @@ def command(
     from imucal.report.json_node import dumps
     from imucal.report.writer import check_folder, write_report
 
-    if is_set("verify"):
-        misuse(f"--{REMOVED['verify']}")
     try:
         reading = request.settings() | ({"rests": True} if rests else {})
-        settings = Settings(clean=not no_clean, bins=bins, reading=reading, **choices)
+        settings = Settings(
+            model=model,
+            method=method,
+            level=level,
+            criterion=criterion,
+            weights=weights,
+            segments=segments,
+            second_opinion=second_opinion,
+            taus=taus,
+            edf=edf,
+            clean=not no_clean,
+            bins=bins,
+            reading=reading,
+        )
     except ValueError as error:
         misuse(error)
     folder = out or report_folder(request.logs[0])

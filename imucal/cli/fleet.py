@@ -5,14 +5,12 @@ import itertools
 import shlex
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
 from imucal.cli import LazyGroup
-from imucal.cli._declared import argument, declared, flag, misuse, option, together
 from imucal.cli._fleet import (
     PATIENCE,
     SHARD,
@@ -26,7 +24,21 @@ from imucal.cli._fleet import (
     write_files,
 )
 from imucal.cli._printing import as_typed, echo, fleet_progress, print_json, print_note
-from imucal.cli.parameters import DURATION, FILE, LEVEL, PATH, QUIET, READING, SHARE, TOPIC, Asked, Number
+from imucal.cli.context import misuse
+from imucal.cli.options import (
+    MODEL,
+    OUTPUT,
+    SAMPLES,
+    Command,
+    flag,
+    logs_argument,
+    option,
+    quiet,
+    reading_options,
+    topic,
+    unwrapped,
+)
+from imucal.cli.param_types import DURATION, FILE, LEVEL, PATH, SHARE, Number
 from imucal.errors import ImucalError
 from imucal.grading import GRADES
 
@@ -37,17 +49,21 @@ _COMMANDS = {
 }
 
 
+_EPILOG = unwrapped("""
+Examples:
+  imucal fleet run logs --labels '{model}/{unit}/*.mcap' -o fleet
+  imucal fleet status fleet
+  imucal fleet report fleet
+""")
+
+
 @click.group(
     cls=LazyGroup,
     table=_COMMANDS,
     of_a_log=("characterise a fleet", "imucal fleet run PATH"),
     of_a_result={"fleet": ("print the state of a fleet", "imucal fleet status PATH")},
     context_settings={"help_option_names": ["-h", "--help"]},
-    epilog="""\b
-Examples:
-  imucal fleet run logs --labels '{model}/{unit}/*.mcap' -o fleet
-  imucal fleet status fleet
-  imucal fleet report fleet""",
+    epilog=_EPILOG,
 )
 def command() -> None:
     """Characterise many logs of many units, and each sensor model.
@@ -57,62 +73,133 @@ def command() -> None:
 
 
 #: Copies of the defaults in `imucal.fleet_run.plan`, whose import would slow down --help.
-_MODEL, _LEVEL = "N + B + K", 0.95
+_MODEL = "N + B + K"
+_LEVEL = 0.95
 
 
-def _any_number(parameter: click.Parameter) -> None:
-    """Let the LOG argument accept any number of logs, or none."""
-    if isinstance(parameter, click.Argument):
-        parameter.metavar, parameter.required = "LOGS...", False
+_RUN_EPILOG = unwrapped("""
+Examples:
+  imucal fleet run logs --labels '{model}/{unit}/*.mcap' -o fleet
+  imucal fleet run --manifest units.csv --jobs 8 --memory 2GB
+  imucal fleet run 'logs/**/*.bag' --dry-run
+  imucal fleet run logs --scheduler tls://head:8786
+  imucal fleet run logs --shard 3/8        (the third of eight such runs)
+  imucal fleet run -o fleet                (continue with the rest)
+
+Exit codes: 0 done, 2 usage, 3 no log can be read, 4 more logs failed than
+--max-failed, 5 the store can't be written or the workers are gone,
+130 interrupted. Run the command again to continue.
+""")
 
 
-@declared
+@click.command(cls=Command, epilog=_RUN_EPILOG)
+@logs_argument("LOGS...", required=False)
+@option(
+    "--manifest",
+    metavar="CSV",
+    type=FILE,
+    help="Read logs from a table with the column path; optional: model, unit, temperature_c, started, "
+    "arguments of imucal.read.",
+)
+@option("--labels", metavar="TEXT", help="Take labels from the paths, such as '{model}/{unit}/*.mcap'.")
+@option(
+    "--jobs",
+    metavar="N",
+    type=click.IntRange(1, 4096),
+    help="Number of logs to fit in parallel. [default: number of processors]",
+)
+@option(
+    "--scheduler", metavar="ADDRESS", help="Use the Dask scheduler of a cluster, such as tls://head:8786."
+)
+@option("--shard", metavar="I/N", type=SHARD, help="Do part I of N of the logs.")
+@option("--memory", metavar="SIZE", help="Memory limit per log, such as 2GB.")
+@option(
+    "--timeout",
+    "timeout_s",
+    metavar="TIME",
+    type=PATIENCE,
+    default="auto",
+    show_default=True,
+    help="Time limit per log, such as 10min.",
+)
+@option(
+    "--reports",
+    type=click.Choice(["none", "failed", "all"]),
+    default="failed",
+    show_default=True,
+    help="Keep reports of these logs.",
+)
+@flag("--fresh", help="Discard the results in the folder and do every log again.")
+@option(
+    "--max-failed",
+    metavar="SHARE",
+    type=Number(0, 1, percent=True),
+    default="5%",
+    show_default=True,
+    help="Exit with code 4 if more than this share of logs fails.",
+)
+@flag("--dry-run", help="Print the plan without writing anything.")
+@option(
+    "-o",
+    "--out",
+    group=OUTPUT,
+    metavar="DIR",
+    type=PATH,
+    default="fleet",
+    show_default=True,
+    help="Write the results to DIR; logs already in it are skipped.",
+)
+@quiet
+@topic
+@option(
+    "--skip",
+    "skip_s",
+    group=SAMPLES,
+    metavar="TIME",
+    type=DURATION,
+    default=0.0,
+    help="Skip the start of each log, such as 5min.",
+)
+@option(
+    "--take",
+    "take_s",
+    group=SAMPLES,
+    metavar="TIME",
+    type=DURATION,
+    help="Read only this much of each log, such as 2h.",
+)
+@reading_options
+@flag("--strict", group=SAMPLES, help="Refuse damaged logs.")
+@option("--model", group=MODEL, metavar="TEXT", help=f"Fit these terms to every log. [default: {_MODEL}]")
+@option(
+    "--level",
+    group=MODEL,
+    metavar="P",
+    type=LEVEL,
+    help=f"Confidence level of every interval. [default: {_LEVEL}]",
+)
 def run(
     *,
-    out: Path = option("-o --out DIR=fleet  Write the results to DIR; logs already in it are skipped.", PATH),
-    manifest: Path | None = option(
-        "--manifest CSV  Read logs from a table with the column path; optional: model, unit, "
-        "temperature_c, started, arguments of imucal.read.",
-        FILE,
-    ),
-    given: dict[str, Any] = together(
-        dict,
-        {
-            "labels": option("--labels TEXT  Take labels from the paths, such as '{model}/{unit}/*.mcap'."),
-            "model": option(f"--model TEXT  Fit these terms to every log. [default: {_MODEL}]"),
-            "level": option(f"--level P  Confidence level of every interval. [default: {_LEVEL}]", LEVEL),
-            "jobs": option(
-                "--jobs N  Number of logs to fit in parallel. [default: number of processors]",
-                click.IntRange(1, 4096),
-            ),
-            "scheduler": option(
-                "--scheduler ADDRESS  Use the Dask scheduler of a cluster, such as tls://head:8786."
-            ),
-            "shard": option("--shard I/N  Do part I of N of the logs.", SHARD),
-            "memory": option("--memory SIZE  Memory limit per log, such as 2GB."),
-            "timeout_s": option("--timeout TIME=auto  Time limit per log, such as 10min.", PATIENCE),
-            "reports": option(
-                "--reports=failed  Keep reports of these logs.", click.Choice(["none", "failed", "all"])
-            ),
-            "fresh": flag("--fresh  Discard the results in the folder and do every log again."),
-        },
-    ),
-    max_failed: float = option(
-        "--max-failed SHARE=5%  Exit with code 4 if more than this share of logs fails.",
-        Number(0, 1, percent=True),
-    ),
-    dry_run: bool = flag("--dry-run  Print the plan without writing anything."),
-    topic: tuple[str, ...] = TOPIC,
-    asked: Asked = replace(READING, change=_any_number),
-    part: dict[str, object] = together(
-        dict,
-        {
-            "skip_s": option("--skip TIME  Skip the start of each log, such as 5min.", DURATION, default=0.0),
-            "take_s": option("--take TIME  Read only this much of each log, such as 2h.", DURATION),
-            "strict": flag("--strict  Refuse damaged logs."),
-        },
-    ),
-    _quiet: bool = QUIET,
+    logs: tuple[str, ...],
+    out: Path,
+    manifest: Path | None,
+    labels: str | None,
+    model: str | None,
+    level: float | None,
+    jobs: int | None,
+    scheduler: str | None,
+    shard: tuple[int, int] | None,
+    memory: str | None,
+    timeout_s: float | None,
+    reports: str,
+    fresh: bool,
+    max_failed: float,
+    dry_run: bool,
+    topic: tuple[str, ...],
+    reading: dict[str, Any],
+    skip_s: float,
+    take_s: float | None,
+    strict: bool,
 ) -> None:
     """Fit the same noise model to each of many LOGS, and keep the results in a folder.
 
@@ -120,29 +207,29 @@ def run(
     input. Each log is a separate recording. Label the units by the paths (--labels) or a table
     (--manifest). Finished logs are kept. The same command again does the rest, also after a crash.
     Changed logs are fitted again; duplicate files count once.
-
-    Examples::
-      imucal fleet run logs --labels '{model}/{unit}/*.mcap' -o fleet
-      imucal fleet run --manifest units.csv --jobs 8 --memory 2GB
-      imucal fleet run 'logs/**/*.bag' --dry-run
-      imucal fleet run logs --scheduler tls://head:8786
-      imucal fleet run logs --shard 3/8        (the third of eight such runs)
-      imucal fleet run -o fleet                (continue with the rest)
-
-    Exit codes: 0 done, 2 usage, 3 no log can be read, 4 more logs failed than
-    --max-failed, 5 the store can't be written or the workers are gone,
-    130 interrupted. Run the command again to continue.
     """
     from imucal.fleet.store import FleetStore
     from imucal.fleet_run import fleet_settings, planned, prepare
     from imucal.fleet_run.on_dask import unprotected
     from imucal.fleet_run.running import asking, run_plan
 
-    if not (asked.logs or manifest or FleetStore(out).exists):
+    if not (logs or manifest or FleetStore(out).exists):
         misuse("Missing argument 'LOGS...'; name logs, or give --manifest CSV or the folder of a fleet (-o)")
-    reading = {**asked.options, "topic": topic, **part}
-    settings = fleet_settings(out, {**given, "reading": reading})
-    lists = ([line.strip() for line in sys.stdin] if name == "-" else [name] for name in asked.logs)
+    given = {
+        "labels": labels,
+        "model": model,
+        "level": level,
+        "jobs": jobs,
+        "scheduler": scheduler,
+        "shard": shard,
+        "memory": memory,
+        "timeout_s": timeout_s,
+        "reports": reports,
+        "fresh": fresh,
+        "reading": {**reading, "topic": topic, "skip_s": skip_s, "take_s": take_s, "strict": strict},
+    }
+    settings = fleet_settings(out, given)
+    lists = ([line.strip() for line in sys.stdin] if name == "-" else [name] for name in logs)
     names = list(filter(None, itertools.chain.from_iterable(lists)))
     plan = planned(settings, names, manifest=manifest, dry=dry_run, notify=print_note)
     if dry_run:
@@ -173,29 +260,44 @@ def _how_to_continue(out: Path) -> Iterator[None]:
         raise
 
 
-@declared
-def report(
-    *,
-    folder: Path = argument("FLEET", PATH),
-    content: float = option("--content P=0.95  Share of all units that the tolerance bound covers.", SHARE),
-    confidence: float = option("--confidence P=0.95  Confidence level of the tolerance bound.", SHARE),
-    html: bool = option("--html/--no-html  Write fleet.html.", default=True),
-    pictures: bool = option("--pictures/--no-pictures  Write the pictures (PNG).", default=True),
-    _quiet: bool = QUIET,
-) -> None:
+_REPORT_EPILOG = unwrapped("""
+Examples:
+  imucal fleet report fleet
+  imucal fleet report fleet --content 0.99 --no-html
+  imucal export fleet --value tolerance --to kalibr
+
+Exit codes: 0 done, 2 usage, 3 the folder is not a fleet or can't be read,
+4 no log is done, 5 a file can't be written.
+""")
+
+
+@click.command(cls=Command, epilog=_REPORT_EPILOG)
+@click.argument("folder", metavar="FLEET", type=PATH)
+@option(
+    "--content",
+    metavar="P",
+    type=SHARE,
+    default=0.95,
+    show_default=True,
+    help="Share of all units that the tolerance bound covers.",
+)
+@option(
+    "--confidence",
+    metavar="P",
+    type=SHARE,
+    default=0.95,
+    show_default=True,
+    help="Confidence level of the tolerance bound.",
+)
+@option("--html/--no-html", default=True, help="Write fleet.html.")
+@option("--pictures/--no-pictures", default=True, help="Write the pictures (PNG).")
+@quiet
+def report(*, folder: Path, content: float, confidence: float, html: bool, pictures: bool) -> None:
     """Describe the units of each sensor model in FLEET, the folder of 'imucal fleet run'.
 
     Per model, axis and term, the report contains: the units with their intervals, the median unit, the
     spread between units and between logs of one unit, the range of the next unit, and the number for
     the config of every unit (the tolerance bound) with the savings from more units. Odd units are named.
-
-    Examples::
-      imucal fleet report fleet
-      imucal fleet report fleet --content 0.99 --no-html
-      imucal export fleet --value tolerance --to kalibr
-
-    Exit codes: 0 done, 2 usage, 3 the folder is not a fleet or can't be read,
-    4 no log is done, 5 a file can't be written.
     """
     from imucal.fleet_report import load_fleet
 
@@ -205,19 +307,19 @@ def report(
         print_note(f"to count them, run the fleet with --labels '{fleet.labels}'")
 
 
-@declared
-def status(
-    *,
-    folder: Path = argument("FLEET", PATH),
-    as_json: bool = flag("--json  Print the status as JSON on standard output."),
-    _quiet: bool = QUIET,
-) -> None:
-    """List the logs of FLEET that are done, failed or left, also during a run.
+_STATUS_EPILOG = unwrapped("""
+Examples:
+  imucal fleet status fleet
+  imucal fleet status fleet --json | jq .left
+""")
 
-    Examples::
-      imucal fleet status fleet
-      imucal fleet status fleet --json | jq .left
-    """
+
+@click.command(cls=Command, epilog=_STATUS_EPILOG)
+@click.argument("folder", metavar="FLEET", type=PATH)
+@flag("--json", "as_json", group=OUTPUT, help="Print the status as JSON on standard output.")
+@quiet
+def status(*, folder: Path, as_json: bool) -> None:
+    """List the logs of FLEET that are done, failed or left, also during a run."""
     from imucal.fleet.store import STATUSES, FleetStore
 
     store = FleetStore(folder)

@@ -4,8 +4,9 @@ from collections.abc import Iterator
 from dataclasses import asdict, replace
 from typing import Any, TypeAlias
 
+import click
+
 from imucal.cli import options_for
-from imucal.cli._declared import declared, flag, is_set, option
 from imucal.cli._printing import (
     BYTES,
     FULL,
@@ -19,7 +20,18 @@ from imucal.cli._printing import (
     width,
     wrapped,
 )
-from imucal.cli.parameters import READING, Asked, lent
+from imucal.cli.context import is_set
+from imucal.cli.log_request import lent
+from imucal.cli.options import (
+    OUTPUT,
+    Command,
+    context_flag,
+    flag,
+    logs_argument,
+    option,
+    reading_options,
+    unwrapped,
+)
 from imucal.errors import ImucalError
 from imucal.findings import Finding
 from imucal.printable import printable
@@ -44,29 +56,31 @@ _SMALL_REMOTE = 1 << 20
 _MANY = 4_000_000
 
 
-@declared
-def command(
-    *,
-    as_json: bool = flag("--json  Print JSON on standard output."),
-    gaps: bool | None = option(
-        "--gaps/--no-gaps  Also read the samples, to find gaps and clock errors (default: logs up to 64 MB).",
-        default=None,
-    ),
-    asked: Asked = READING,
-    _verbose: bool = flag("-v --verbose  Also list the fields of messages."),
-) -> None:
-    """List the topics, types, counts, rates, duration, units and gaps of each LOG.
+_EPILOG = unwrapped("""
+Examples:
+  imucal info log.mcap
+  imucal info --gaps 20h.bag
+  imucal info 's3://bucket/run/*.mcap'
+  imucal info -v --msg MyImu.msg old.db3
+  imucal info --json *.mcap | jq '.logs[].topics[].rate_hz'
 
-    Examples::
-      imucal info log.mcap
-      imucal info --gaps 20h.bag
-      imucal info 's3://bucket/run/*.mcap'
-      imucal info -v --msg MyImu.msg old.db3
-      imucal info --json *.mcap | jq '.logs[].topics[].rate_hz'
+Exit codes: 0 done, 2 usage, 3 a log can't be read.
+""")
 
-    Exit codes: 0 done, 2 usage, 3 a log can't be read.
-    """
-    entries, (logs, reading) = [], asked
+
+@click.command(cls=Command, epilog=_EPILOG)
+@logs_argument("LOG...", required=True)
+@option(
+    "--gaps/--no-gaps",
+    default=None,
+    help="Also read the samples, to find gaps and clock errors (default: logs up to 64 MB).",
+)
+@flag("--json", "as_json", group=OUTPUT, help="Print JSON on standard output.")
+@context_flag("-v", "--verbose", group=OUTPUT, help="Also list the fields of messages.")
+@reading_options
+def command(*, logs: tuple[str, ...], as_json: bool, gaps: bool | None, reading: dict[str, Any]) -> None:
+    """List the topics, types, counts, rates, duration, units and gaps of each LOG."""
+    entries = []
     folders = {named: parts for named in logs if len(parts := logs_of(named)) > 1}
     for log in (log for named in logs for log in folders.get(named, [named])):
         with progress("downloading", *BYTES, when=is_url(log)) as update:

@@ -9,10 +9,20 @@ from imucal.calibration.known_log import RestsPlan, plan_rests
 from imucal.calibration.noise_source import report_models
 from imucal.calibration.parameters import Parameter
 from imucal.calibration.table import readable
-from imucal.cli._declared import argument, declared, flag, is_set, option
 from imucal.cli._printing import FULL, can_print, echo, picked, print_json, print_note, width, wrapped
-from imucal.cli._report_input import MODELS, report_or_model
-from imucal.cli.parameters import DURATION, LEVEL, QUIET, RATE, Number, Text
+from imucal.cli._report_input import report_or_model
+from imucal.cli.options import (
+    MODEL,
+    OUTPUT,
+    Command,
+    datasheet,
+    flag,
+    model_options,
+    option,
+    quiet,
+    unwrapped,
+)
+from imucal.cli.param_types import DURATION, LEVEL, RATE, Number, Text
 from imucal.noise.terms import TERMS
 from imucal.planning import ENOUGH_DETECTED, ONE_DEVIATION, Need, Plan, describe_time, plan
 from imucal.recording import Sensor
@@ -36,32 +46,71 @@ def _fraction(text: str) -> float:
     return fraction
 
 
-@declared
+_EPILOG = unwrapped("""
+Examples:
+  imucal plan "N=0.3deg/sqrt(h) + B=5deg/h" --rate 200
+  imucal plan --accel "N=60ug/sqrt(Hz)" --rate 200
+  imucal plan log-imucal --precision 5% --level 0.95
+  imucal plan log-imucal --duration 3h --json -q
+  imucal plan log-imucal --rests 18 --rest 5s --latitude 47.4
+
+Exit codes: 0 done, 2 usage, 3 the report can't be read.
+""")
+
+
+@click.command(cls=Command, epilog=_EPILOG)
+@click.argument("source", metavar="MODEL_OR_REPORT", required=False)
+@model_options
+@option("--rate", metavar="HZ", type=RATE, help="Sampling rate in Hz; required with a model.")
+@option(
+    "--precision",
+    metavar="FRACTION",
+    type=Text("fraction", _fraction),
+    default="10%",
+    show_default=True,
+    help="Relative half-width of each term's interval.",
+)
+@option(
+    "--duration",
+    metavar="TIME",
+    type=DURATION,
+    help="Also predict the precision of a log of this length, such as 3h.",
+)
+@option(
+    "--rests", metavar="N", type=click.IntRange(6, 1000), help="Plan a log of N rests for imucal calibrate."
+)
+@option(
+    "--rest",
+    metavar="TIME",
+    type=DURATION,
+    default="5s",
+    show_default=True,
+    help="Length of each rest, with --rests.",
+)
+@option("--latitude", metavar="DEG", type=Number(-90, 90), help="Latitude of the place, with --rests.")
+@flag("--json", "as_json", group=OUTPUT, help="Print the plan as JSON (SI) on standard output.")
+@datasheet
+@quiet
+@option(
+    "--level",
+    group=MODEL,
+    metavar="P",
+    type=LEVEL,
+    help="Confidence level of every interval. [default: 0.683, one standard deviation]",
+)
 def command(
     *,
-    source: str | None = argument("MODEL_OR_REPORT", required=False),
-    models: dict[Sensor, str] = MODELS,
-    rate: float | None = option("--rate HZ  Sampling rate in Hz; required with a model.", RATE),
-    precision: float = option(
-        "--precision FRACTION=10%  Relative half-width of each term's interval.",
-        Text("fraction", _fraction),
-    ),
-    level: float | None = option(
-        "--level P  Confidence level of every interval. [default: 0.683, one standard deviation]", LEVEL
-    ),
-    duration: float | None = option(
-        "--duration TIME  Also predict the precision of a log of this length, such as 3h.", DURATION
-    ),
-    rests: int | None = option(
-        "--rests N  Plan a log of N rests for imucal calibrate.", click.IntRange(6, 1000)
-    ),
-    rest: float = option("--rest TIME=5s  Length of each rest, with --rests.", DURATION),
-    latitude: float | None = option("--latitude DEG  Latitude of the place, with --rests.", Number(-90, 90)),
-    _datasheet: bool = option(
-        "--datasheet/--si  Use datasheet or SI units in the table.", default=True, show_default=True
-    ),
-    as_json: bool = flag("--json  Print the plan as JSON (SI) on standard output."),
-    _quiet: bool = QUIET,
+    source: str | None,
+    models: dict[Sensor, str],
+    rate: float | None,
+    precision: float,
+    level: float | None,
+    duration: float | None,
+    rests: int | None,
+    rest: float,
+    latitude: float | None,
+    datasheet: bool,
+    as_json: bool,
 ) -> None:
     """Compute how long to record for a given precision of each noise term.
 
@@ -69,15 +118,6 @@ def command(
     a unit are SI), or a report.json or its folder. Times follow from the smallest error that any method
     can reach (the Cramér-Rao bound). They are long enough that about four of five logs detect the term.
     If a report contains only an upper bound of a term, the bound is used.
-
-    Examples::
-      imucal plan "N=0.3deg/sqrt(h) + B=5deg/h" --rate 200
-      imucal plan --accel "N=60ug/sqrt(Hz)" --rate 200
-      imucal plan log-imucal --precision 5% --level 0.95
-      imucal plan log-imucal --duration 3h --json -q
-      imucal plan log-imucal --rests 18 --rest 5s --latitude 47.4
-
-    Exit codes: 0 done, 2 usage, 3 the report can't be read.
     """
     report = report_or_model(source, models, rate)
     if rests:
@@ -93,7 +133,7 @@ def command(
     if as_json:
         print_json(to_document(result))
     else:
-        echo(_table(result))
+        echo(_table(result, datasheet=datasheet))
     if any(need.bounded for axis in result.axes for need in axis.needs):
         print_note("< value: not detected; the time is for a term as large as this bound")
     if not as_json and any(_may_be_missed(need) for axis in result.axes for need in axis.needs):
@@ -116,7 +156,7 @@ def to_document(result: Plan) -> dict[str, object]:
     }
 
 
-def _table(result: Plan) -> str:
+def _table(result: Plan, *, datasheet: bool) -> str:
     percent = f"{100 * result.precision:.3g} %"
     spread = "1 sd" if result.level == ONE_DEVIATION else f"{100 * result.level:.4g} %"
     durations = {axis.duration_s for axis in result.axes}
@@ -131,14 +171,13 @@ def _table(result: Plan) -> str:
             reached = "" if durations == {None} else f"{'this gives':>17}"
             lines.append(f"  {'term':<10}{'value':>12}  {'unit':<18}{'needs':>19}{reached}")
         for need in axis.needs:
-            lines += _lines(axis.sensor, need, narrow=narrow)
+            lines += _lines(need, _unit(axis.sensor, need, datasheet=datasheet), narrow=narrow)
     text = "\n".join(lines)
     return text if can_print(text) else text.replace("±", "+-")
 
 
-def _lines(sensor: Sensor | None, need: Need, *, narrow: bool) -> list[str]:
+def _lines(need: Need, unit: DatasheetUnit, *, narrow: bool) -> list[str]:
     """Return a required duration as a row, or as two lines on a narrow terminal."""
-    unit = _unit(sensor, need)
     value = f"{'< ' if need.bounded else ''}{need.value * unit.factor:.4g}"
     time = describe_time(need.needed_s)
     reached = _reached(need)
@@ -162,11 +201,11 @@ def _may_be_missed(need: Need) -> bool:
     return need.shown is not None and need.shown < ENOUGH_DETECTED
 
 
-def _unit(sensor: Sensor | None, need: Need) -> DatasheetUnit:
+def _unit(sensor: Sensor | None, need: Need, *, datasheet: bool) -> DatasheetUnit:
     if need.name.endswith(".T") or sensor is None:
         return DatasheetUnit("s" if need.name.endswith(".T") else "SI", 1.0)
     term = TERMS[need.symbol]
-    return term.datasheet_unit(sensor) if is_set("datasheet") else DatasheetUnit(term.unit(sensor), 1.0)
+    return term.datasheet_unit(sensor) if datasheet else DatasheetUnit(term.unit(sensor), 1.0)
 
 
 def _plan_rests(report: Report, rests: int, rest_s: float, latitude: float | None, *, as_json: bool) -> None:

@@ -4,9 +4,10 @@ from pathlib import Path
 
 import click
 
-from imucal.cli._declared import argument, declared, flag, misuse, option
 from imucal.cli._printing import echo, picked, print_json, print_note
-from imucal.cli.parameters import DURATION, PATH, QUIET, RATE, Number, Text, model_of
+from imucal.cli.context import misuse
+from imucal.cli.options import OUTPUT, Command, flag, option, quiet, unwrapped
+from imucal.cli.param_types import DURATION, PATH, RATE, Number, Text, model_of
 from imucal.clock import seconds_of
 from imucal.noise import NoiseModel
 from imucal.recording import Sensor
@@ -14,9 +15,6 @@ from imucal.units import G0
 
 #: Six axes take 48 GB.
 _MAX_SAMPLES = 1e9
-
-
-_LSB = Number(min=0)
 
 
 def _gap(text: str) -> tuple[float, float]:
@@ -37,45 +35,95 @@ def log_to_write(_: click.Context, __: click.Parameter, path: Path | None) -> Pa
     return path
 
 
-@declared
+_EPILOG = unwrapped(r"""
+Examples:
+  imucal simulate "N=1e-4 + B=2e-5 + K=1e-6" -o still.mcap
+  imucal simulate "N=0.3deg/sqrt(h) + B=5deg/h" --accel "N=60ug/sqrt(Hz)" \
+    --rate 400 --duration 2h --gap 10min:3s -o gaps.bag
+  imucal simulate "N=1e-4" --accel "N=1e-3" --rests 18 --json -o poses.mcap
+""")
+
+
+@click.command(cls=Command, epilog=_EPILOG)
+@click.argument("model", type=model_of(Sensor.GYROSCOPE))
+@option("--accel", metavar="MODEL", help="Model of the accelerometer. [default: the numbers of MODEL]")
+@option("--rate", metavar="HZ", type=RATE, default=200.0, show_default=True, help="Sampling rate in Hz.")
+@option(
+    "--duration", metavar="TIME", type=DURATION, default="10min", show_default=True, help="Length of the log."
+)
+@option(
+    "--gap",
+    "gaps",
+    metavar="START:LENGTH",
+    type=Text("gap", _gap),
+    multiple=True,
+    help="Omit these samples; may be repeated.",
+)
+@option(
+    "--gyro-lsb", metavar="X", type=Number(min=0), default=0.0, help="Resolution of the gyroscope, in rad/s."
+)
+@option(
+    "--accel-lsb",
+    metavar="X",
+    type=Number(min=0),
+    default=0.0,
+    help="Resolution of the accelerometer, in m/s^2.",
+)
+@option(
+    "--rests",
+    metavar="N",
+    type=click.IntRange(6, 1000),
+    help="Simulate N rests and the turns between them, for imucal calibrate.",
+)
+@option(
+    "--rest",
+    metavar="TIME",
+    type=DURATION,
+    default="5s",
+    show_default=True,
+    help="Length of each rest, with --rests.",
+)
+@option(
+    "--seed",
+    metavar="N",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Seed of the random numbers.",
+)
+@option(
+    "-o",
+    "--out",
+    group=OUTPUT,
+    metavar="FILE",
+    type=PATH,
+    callback=log_to_write,
+    required=True,
+    help="Write the log to FILE: .csv, .mcap, .bag, .db3, or a folder (ROS 2).",
+)
+@flag("--json", "as_json", group=OUTPUT, help="Print the true values as JSON on standard output.")
+@quiet
 def command(
     *,
-    model: str = argument(None, model_of(Sensor.GYROSCOPE)),
-    accel: str | None = option("--accel MODEL  Model of the accelerometer. [default: the numbers of MODEL]"),
-    out: Path = option(
-        "-o --out FILE  Write the log to FILE: .csv, .mcap, .bag, .db3, or a folder (ROS 2).",
-        PATH,
-        callback=log_to_write,
-        required=True,
-    ),
-    rate: float = option("--rate HZ=200.0  Sampling rate in Hz.", RATE),
-    duration: float = option("--duration TIME=10min  Length of the log.", DURATION),
-    gaps: tuple[tuple[float, float], ...] = option(
-        "--gap START:LENGTH  Omit these samples; may be repeated.", Text("gap", _gap), multiple=True
-    ),
-    gyro_lsb: float = option("--gyro-lsb X  Resolution of the gyroscope, in rad/s.", _LSB, default=0.0),
-    accel_lsb: float = option("--accel-lsb X  Resolution of the accelerometer, in m/s^2.", _LSB, default=0.0),
-    rests: int | None = option(
-        "--rests N  Simulate N rests and the turns between them, for imucal calibrate.",
-        click.IntRange(6, 1000),
-    ),
-    rest: float = option("--rest TIME=5s  Length of each rest, with --rests.", DURATION),
-    seed: int = option("--seed N=0  Seed of the random numbers.", click.IntRange(min=0)),
-    as_json: bool = flag("--json  Print the true values as JSON on standard output."),
-    _quiet: bool = QUIET,
+    model: str,
+    accel: str | None,
+    out: Path,
+    rate: float,
+    duration: float,
+    gaps: tuple[tuple[float, float], ...],
+    gyro_lsb: float,
+    accel_lsb: float,
+    rests: int | None,
+    rest: float,
+    seed: int,
+    as_json: bool,
 ) -> None:
-    r"""Write a log of an IMU at rest with known noise.
+    """Write a log of an IMU at rest with known noise.
 
     MODEL is a sum of terms with continuous coefficients, the same for the three gyroscope axes:
     N=… (rad/s/√Hz), B=… (rad/s), K=… (rad/s/√s), Q=… (rad), R=… (rad/s²), GM(sigma=…, T=…) (rad/s, s);
     m/s² in place of rad/s for the accelerometer. A number may have another unit, such as
     N=0.3deg/sqrt(h), or N=60ug/sqrt(Hz) for the accelerometer.
-
-    Examples::
-      imucal simulate "N=1e-4 + B=2e-5 + K=1e-6" -o still.mcap
-      imucal simulate "N=0.3deg/sqrt(h) + B=5deg/h" --accel "N=60ug/sqrt(Hz)" \
-        --rate 400 --duration 2h --gap 10min:3s -o gaps.bag
-      imucal simulate "N=1e-4" --accel "N=1e-3" --rests 18 --json -o poses.mcap
     """
     from imucal.calibration.known_log import simulate_rests
     from imucal.simulation import SensorTruth, simulate_recording, write_log

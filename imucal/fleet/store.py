@@ -58,7 +58,7 @@ _TABLES: dict[str, dict[str, Any]] = {"derived": DERIVED, **_OF_BATCH}
 _MANIFEST, _SETTINGS = "manifest.parquet", "settings.json"
 #: Bytes of a checksum, and of the end of a parquet file (footer size and four letters).
 _SEAL, _END = 32, 8
-_NOT_WHOLE = "is damaged or from an earlier version"
+_NOT_WHOLE = "is damaged"
 
 Row = Mapping[str, object]
 

@@ -54,7 +54,6 @@ from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Overview, Report
 
 SCHEMA = "imucal/report/2"
-_READABLE = ("imucal/report/1", SCHEMA)
 #: Pictures need the raw signals, scripts do not.
 SIGNAL_SCHEMA, SIGNAL_FILE = "imucal/signal/1", "signal.json"
 #: Digits of spectra and signals: enough for pictures, and half the size.
@@ -62,17 +61,8 @@ _DIGITS = 8
 
 
 def _axis(node: Node) -> AxisReport:
-    fit, table = _fit(node["fit"], node["curve"], Sensor(node["sensor"].text(*Sensor))), node.table()
-    overview = _OVERVIEW.read(node["overview"]) if "overview" in table else Overview.none()
-    findings = list_of(_FINDING.read)(node["findings"]) if "findings" in table else ()
-    return _AXIS.read(node, fit=fit, overview=overview, findings=findings)
-
-
-def _goodness(node: Node) -> Goodness:
-    table = node.table()
-    if "statistic" in table:
-        node = Node({**table, "misfit_score": table["statistic"]}, node.file, node.place)
-    return _GOODNESS.read(node)
+    fit = _fit(node["fit"], node["curve"], Sensor(node["sensor"].text(*Sensor)))
+    return _AXIS.read(node, fit=fit, overview=Overview.none(), findings=())
 
 
 def _fit(node: Node, curve_node: Node, sensor: Sensor) -> NoiseFit:
@@ -209,7 +199,7 @@ _FIT = layout_of(
     "method model= expression=model rate_hz level criterion goodness terms=estimates parameters covariance "
     "response candidates segments? settings bins?",
     expression=_model,
-    goodness=_goodness,
+    goodness=_GOODNESS.read,
     rate_hz=Node.positive,
     level=_level,
     terms=_estimates,
@@ -416,14 +406,14 @@ def from_document(document: object, *, file: str = "report") -> Report:
     """
     root = Node(document, file)
     found = root.table().get("schema")
-    if found not in _READABLE:
+    if found != SCHEMA:
         root.fail(f"the schema is {json.dumps(found)}", f'"{SCHEMA}"')
     report = _REPORT.read(root)
     names = {axis.name for axis in report.axes}
     axes = []
     for axis in report.axes:
-        own = (*axis.findings, *(finding for finding in report.findings if finding.axis == axis.name))
-        axes.append(replace(axis, findings=tuple(dict.fromkeys(own))))
+        own = tuple(finding for finding in report.findings if finding.axis == axis.name)
+        axes.append(replace(axis, findings=own))
     others = tuple(finding for finding in report.findings if finding.axis not in names)
     return replace(report, axes=tuple(axes), findings=others)
 

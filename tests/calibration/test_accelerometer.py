@@ -173,3 +173,29 @@ def test_directions_in_words() -> None:
     """Nearest axis first, with the angle from it."""
     assert describe_direction(np.array([0.0, 0.1, -0.995])) == "down along -z"
     assert describe_direction(np.array([-0.766, 0.0, 0.643])) == "down between -x and +z, 40° from -x"
+
+
+def test_samples_in_si_stay_near_one_where_rests_on_one_side_show_little() -> None:
+    """Ten rests in one half of the sphere: scale and bias have a prior in m/s², and none in counts."""
+    worst = []
+    for seed in range(6340, 6356):
+        rng = np.random.default_rng(seed)
+        own = Truth.draw(rng)
+        up = rng.normal(size=(10, 3))
+        up[:, 2] = np.abs(up[:, 2]) + 0.3
+        means = exact(up / np.linalg.norm(up, axis=1)[:, None], own) + rng.normal(0, 1e-3, (10, 3))
+        everywhere = exact(attitudes(500, rng, tilt=1.0), own)
+        fits = (fit_accelerometer(means, noise(10), gravity=GRAVITY, si=si) for si in (True, False))
+        worst.append(
+            [np.abs(np.linalg.norm((everywhere - fit.b) @ fit.C.T, axis=1) - GRAVITY).max() for fit in fits]
+        )
+    known, unknown = np.max(worst, axis=0)
+    assert known < 0.7 * unknown
+
+
+def test_a_prior_does_not_move_what_the_rests_show(truth: Truth) -> None:
+    """Eighteen rests: the same values and intervals in m/s² and in other units."""
+    means = exact(attitudes(18, np.random.default_rng(12)), truth)
+    known, unknown = (fit_accelerometer(means, noise(18), gravity=GRAVITY, si=si) for si in (True, False))
+    np.testing.assert_array_equal(known.theta, unknown.theta)
+    np.testing.assert_array_equal(known.covariance, unknown.covariance)

@@ -457,27 +457,6 @@ def test_a_calibration_that_makes_the_log_worse_is_an_error() -> None:
     assert not list(worse_than_before(good))
 
 
-def test_rests_on_one_side_are_not_worse_than_raw_samples() -> None:
-    """Scale and bias of samples in m/s² stay near 1 and 0 in directions that the rests do not show."""
-    for seed in range(8_850, 8_858):
-        rng = np.random.default_rng(seed)
-        truth = Truth.draw(rng)
-        up = rng.normal(size=(14, 3))
-        up[:, 2] = np.abs(up[:, 2]) + 0.3
-        up /= np.linalg.norm(up, axis=1)[:, None]
-        found = calibrate(log(truth, NOISE, up, rng).recording(), gravity=GRAVITY, gyro=False)
-        everywhere = rng.normal(size=(1000, 3))
-        f = GRAVITY * everywhere / np.linalg.norm(everywhere, axis=1)[:, None]
-        raw = f @ truth.M_a.T + truth.b_a
-        before = np.abs(np.linalg.norm(raw, axis=1) - GRAVITY).max()
-        after = np.abs(
-            np.linalg.norm((raw - found.accelerometer.b) @ found.accelerometer.C.T, axis=1) - GRAVITY
-        )
-        assert after.max() < 1.1 * before
-        named = {name for name, each in found.accelerometer.parameters.items() if each.status == "weak"}
-        assert named & {"scale_z", "bias_z"}
-
-
 @pytest.mark.parametrize(("frequency_hz", "amplitude"), [(20.0, 0.5), (50.3, 0.5)])
 def test_a_vibration_is_named_if_there_are_no_rests(frequency_hz: float, amplitude: float) -> None:
     """A vertical vibration is on another axis in each attitude, so that no window looks quiet."""

@@ -73,24 +73,6 @@ def test_errors_are_json_where_json_was_asked_for(
     assert document["error"]["message"] in done.stderr
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [("imucal.toml", "[adev]\ntaus = '0.1,1'\n"), ("pyproject.toml", "[tool.imucal.adev]\ntaus = '0.1,1'\n")],
-)
-def test_default_options_in_a_file_are_named_and_not_used(name: str, text: str, tmp_path: Path) -> None:
-    """One line reports them, with --quiet too, and its suggestion works."""
-    (tmp_path / "pyproject.toml").write_text("[tool.imucalibration]\n", encoding="utf-8")
-    expected = run("adev", _SHORT, "-q", cwd=tmp_path)
-    assert "toml" not in expected.stderr
-    (tmp_path / name).write_text(text, encoding="utf-8")
-    done = run("adev", _SHORT, "-q", cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (expected.returncode, expected.stdout)
-    (line,) = done.stderr.removesuffix(expected.stderr).splitlines()
-    assert line.startswith(f"warning: {name}: default options in a file are no longer read; remove them, ")
-    alias = line.partition("alias fit='imucal ")[2].partition("'")[0]
-    assert run(*alias.split(), _SHORT, "--no-report", "--model", "N", "-q", cwd=tmp_path).returncode == 0
-
-
 def test_a_log_of_seconds_is_good_for_n_only(tmp_path: Path) -> None:
     """The verdict reports that it is too short for B and K."""
     _write(tmp_path / "short.csv", 20)

@@ -4,6 +4,7 @@ import click
 import pytest
 
 from imucal.cli._printing import print_findings
+from imucal.cli.context import remember
 from imucal.findings import Finding
 
 
@@ -39,9 +40,9 @@ def test_one_finding_represents_those_that_differ_in_numbers(capsys: pytest.Capt
 def test_verbose_prints_all_and_quiet_none(capsys: pytest.CaptureFixture[str]) -> None:
     """Quiet goes before verbose."""
     with click.Context(click.Command("fit")) as context:
-        context.params["verbose"] = True
+        remember(context, click.Option(["--verbose"]), value=True)
         print_findings(FINDINGS)
         assert capsys.readouterr().err.count("[spikes]") == 3
-        context.params["quiet"] = True
+        remember(context, click.Option(["--quiet"]), value=True)
         print_findings(FINDINGS)
     assert capsys.readouterr().err == ""

@@ -61,16 +61,6 @@ def test_an_unknown_term_is_a_usage_error(tmp_path: Path) -> None:
     assert "'X' is not one of Q, N, B, GM, K, R" in done.stderr
 
 
-def test_a_removed_option_is_a_usage_error(tmp_path: Path) -> None:
-    """The message contains the replacement, and the help does not list the option."""
-    done = run("fit", SHORT, "--verify", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "--verify was removed: imucal's tests compare fits with the exact likelihood; leave it out" in (
-        " ".join(done.stderr.split())
-    )
-    assert "--verify" not in run("fit", "--help", cwd=tmp_path).stdout
-
-
 def test_a_part_of_the_log_can_be_fitted(tmp_path: Path) -> None:
     """--skip and --take select it, and the report contains the range."""
     part = ("--skip", "5s", "--take", "10s", *QUICK)

@@ -10,7 +10,7 @@ from tests.cli.run import run
 from tests.readers.logs import imu_messages, samples, write_mcap
 from tests.readers.messages.test_definition_files import log as undefined
 from tests.readers.messages.test_definition_files import package
-from tests.readers.messages.test_named_columns import single, two_gyros
+from tests.readers.messages.test_named_columns import two_gyros
 
 HEAD = "gx,gy,gz,ax,ay,az"
 
@@ -106,15 +106,6 @@ def test_columns_of_messages_are_asked_for_with_their_option(tmp_path: Path) -> 
     assert "/imu/data:\n  header.stamp time, " in listed
     assert "header.stamp time" not in run("info", "log.mcap", *asked, cwd=tmp_path).stdout
     assert "gyro, accel" in run("info", "log.mcap", *asked, cwd=tmp_path).stdout
-
-
-def test_the_deprecated_fields_are_read(tmp_path: Path) -> None:
-    """With quotes or without; a line explains what to use."""
-    single(tmp_path)
-    for asked in (["gyro=gx,gy,gz accel=ax,ay,az"], ["gyro=gx,gy,gz", "accel=ax,ay,az"]):
-        done = run("adev", "--fields", *asked, "log.mcap", cwd=tmp_path)
-        assert "gyro xyz, accel xyz" in done.stderr
-        assert "--fields is deprecated; use --columns 'g=gx+gy+gz,a=ax+ay+az'" in done.stderr
 
 
 def test_a_definition_is_asked_for_with_its_option(tmp_path: Path) -> None:

@@ -92,9 +92,7 @@ def test_a_truncated_part_is_rejected_until_it_is_repaired(tmp_path: Path, table
     part = store.folder / table / store.logs().filter(pl.col("key") == "key-a")["part"].item()
     data = part.read_bytes()
     part.write_bytes(data[: int(keep * len(data))])
-    message = re.escape(
-        f"{part}: is damaged or from an earlier version; run the fleet again to repeat its logs"
-    )
+    message = re.escape(f"{part}: is damaged; run the fleet again to repeat its logs")
     with pytest.raises(StoreError, match=f"^{message}"):
         store.refuse_damage()
     assert store.mend() == [part]
@@ -118,7 +116,7 @@ def test_a_part_with_other_columns_counts_as_damaged(tmp_path: Path, monkeypatch
     """Another version may lack a column, which must not be read as missing numbers."""
     store = fleet(tmp_path, "a")
     monkeypatch.setitem(RESULTS, "later", pl.Float64())
-    with pytest.raises(StoreError, match=r"results/part-.*: is damaged or from an earlier version; run"):
+    with pytest.raises(StoreError, match=r"results/part-.*: is damaged; run"):
         store.refuse_damage()
 
 
@@ -201,7 +199,7 @@ def test_a_folder_without_a_fleet_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(ReadError, match=r"manifest\.parquet: no such file; expected the folder of a"):
         store.manifest()
     (tmp_path / "manifest.parquet").write_text("none")
-    with pytest.raises(StoreError, match=r"manifest\.parquet: is damaged or from an earlier version; remove"):
+    with pytest.raises(StoreError, match=r"manifest\.parquet: is damaged; remove"):
         store.manifest()
 
 

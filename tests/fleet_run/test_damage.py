@@ -46,7 +46,7 @@ def test_damaged_parts_are_repaired_by_the_next_run(place: Path, tmp_path: Path,
     part.write_bytes(data)
     refused = run("fleet", "report", "fleet", cwd=tmp_path / "copy")
     assert refused.returncode == 5
-    message = f"Error: fleet/{table}/{part.name}: is damaged or from an earlier version; run the fleet again"
+    message = f"Error: fleet/{table}/{part.name}: is damaged; run the fleet again"
     assert message in refused.stderr
     done = run("fleet", "run", "-o", "fleet", "--jobs", "1", cwd=tmp_path / "copy")
     assert done.returncode == 0, done.stderr
@@ -66,7 +66,7 @@ def test_a_damaged_manifest_is_recreated_from_the_logs(place: Path, tmp_path: Pa
     manifest.write_bytes(manifest.read_bytes()[:-3])
     refused = run("fleet", "run", "-o", "fleet", cwd=tmp_path / "copy")
     assert refused.returncode == 5
-    assert "manifest.parquet: is damaged or from an earlier version; remove it and give the logs again" in (
+    assert "manifest.parquet: is damaged; remove it and give the logs again" in (
         " ".join(refused.stderr.split())
     )
     manifest.unlink()
@@ -82,7 +82,7 @@ def test_damaged_settings_are_rejected(place: Path, tmp_path: Path) -> None:
     settings.write_text(settings.read_text(encoding="utf-8").replace("N + B", "N + K"), encoding="utf-8")
     refused = run("fleet", "run", "-o", "fleet", cwd=tmp_path / "copy")
     assert refused.returncode == 5
-    assert "settings.json: is damaged or from an earlier version; start the fleet again with --fresh" in (
+    assert "settings.json: is damaged; start the fleet again with --fresh" in (
         " ".join(refused.stderr.split())
     )
     done = run("fleet", "run", "logs", *LABELS, "--fresh", "--jobs", "1", cwd=tmp_path / "copy")

@@ -12,7 +12,6 @@ import pytest
 
 from imucal.errors import ChoiceError
 from imucal.readers import read
-from imucal.readers.read_options import columns_of_fields
 from tests.cli.run import run
 from tests.readers.logs import TOPIC, Message, header, samples, store, write_bag, write_db3, write_mcap
 from tests.readers.messages.test_messages import axes
@@ -67,19 +66,6 @@ def test_one_element_of_a_list_can_be_read(kind: str, tmp_path: Path, *, stamped
     npt.assert_array_equal(axes(recording), TRUTH.all[firsts])
     start = firsts[0] if stamped else rows_of(0)[-1]
     assert recording.series[0].clock.start_ns == TRUTH.stamps[start]
-
-
-@pytest.mark.parametrize("fields", ["gyro=imus[].rate", "gyro.z=gz[]"])
-def test_lists_of_samples_are_refused_with_an_alternative(fields: str, tmp_path: Path) -> None:
-    paths = fields.partition("=")[2].replace("[]", "[0]")
-    with pytest.raises(ChoiceError) as caught:
-        columns_of_fields([fields], None)
-    assert str(caught.value) == (
-        f"{fields!r}: lists of samples in one message are not read; read one element, such as {paths}, or "
-        "write a CSV with a row per sample"
-    )
-    done = run("fit", "log.mcap", "--fields", fields, cwd=tmp_path)
-    assert (done.returncode, "lists of samples in one message" in done.stderr) == (3, True)
 
 
 def test_only_damaged_json_messages_are_lost(tmp_path: Path) -> None:
@@ -140,7 +126,7 @@ def test_some_axes_of_a_sensor_can_be_read(tmp_path: Path) -> None:
 
 
 def test_the_axis_of_a_column_without_axis_name_must_be_given(tmp_path: Path) -> None:
-    """The error shows the columns text, which works. The deprecated option works with a warning."""
+    """The error shows the columns text, which works."""
     path = json_log(tmp_path, lambda i: {"turn": float(TRUTH.gyro[i, 2])})
     with pytest.raises(ChoiceError) as caught:
         read(path, columns="g=turn", **RAD)
@@ -148,7 +134,6 @@ def test_the_axis_of_a_column_without_axis_name_must_be_given(tmp_path: Path) ->
     assert match is not None
     assert match[1] == "gz=0"
     assert read(path, columns=match[1], **RAD).series[0].name == "gyro_z"
-    for option, text, hints in (("--columns", "gz=turn", 0), ("--fields", "gyro.z=turn", 1)):
-        done = run("fit", "log.mcap", option, text, "--gyro-unit", "rad/s", "--no-report", cwd=tmp_path)
-        assert "gyro z: 120 samples" in done.stderr
-        assert done.stderr.count("--fields is deprecated; use --columns 'gz=turn'") == hints
+    asked = ("--columns", "gz=turn", "--gyro-unit", "rad/s")
+    done = run("fit", "log.mcap", *asked, "--no-report", cwd=tmp_path)
+    assert "gyro z: 120 samples" in done.stderr

@@ -16,7 +16,7 @@ from imucal.readers import describe, read
 from imucal.readers.containers import Channel
 from imucal.readers.messages import schemas
 from imucal.readers.messages.topics import find_topics
-from imucal.readers.read_options import ReadOptions, columns_of_fields
+from imucal.readers.read_options import ReadOptions
 from imucal.recording import Recording
 from imucal.units import G0
 from tests.readers.logs import TOPIC, Message, header, samples, store, write_bag, write_db3, write_mcap
@@ -254,37 +254,6 @@ def test_an_impossible_temperature_is_ignored(tmp_path: Path) -> None:
     recording = read(ros(tmp_path, text, build))
     assert recording.temperature is None
     assert dict(recording.source.decisions)["temperature"].startswith("left out: a median of 8000 is not")
-
-
-@pytest.mark.parametrize(
-    ("fields", "columns"),
-    [
-        ("gyro=gx,gy,gz accel=ax,ay,az", "g=gx+gy+gz,a=ax+ay+az"),
-        (["g=imu.g", "A=/imu.a time=t"], "g=imu.g,a=imu.a,t=t"),
-        ("gyro.z=a temperature=b temp=c", "gz=a,temp=b,temp=c"),
-        ("speed=a,b", "speed=a+b"),
-        ("gyro", "g"),
-        ([], None),
-    ],
-)
-def test_deprecated_fields_are_converted_to_a_columns_text(
-    fields: str | list[str], columns: str | None
-) -> None:
-    """Errors in the fields are reported as errors of that text."""
-    texts = [fields] if isinstance(fields, str) else fields
-    assert columns_of_fields(texts, None) == columns
-
-
-def test_deprecated_fields_are_read(tmp_path: Path) -> None:
-    """A warning contains the columns text. Fields and columns exclude each other."""
-    path = single(tmp_path)
-    fields = "gyro=gx,gy,gz accel=ax,ay,az"
-    with pytest.warns(DeprecationWarning, match="fields is deprecated") as found:
-        is_near(read(path, fields=fields, gyro_unit="rad/s"), 0)
-    assert str(found[0].message) == f"fields is deprecated; use columns={SINGLE!r}"
-    assert found[0].filename == __file__
-    with pytest.raises(ChoiceError, match=r"both columns .* and fields are given"):
-        read(path, fields=fields, columns=SINGLE)
 
 
 def test_messages_of_two_devices_on_one_topic_are_refused(tmp_path: Path) -> None:
