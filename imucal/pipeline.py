@@ -11,7 +11,7 @@ import numpy as np
 from imucal._version import __version__
 from imucal.advice import advised_report
 from imucal.allan import Spectrum, allan_curve, spectrum
-from imucal.allan.dct import shared_transform
+from imucal.allan.dct import Transform
 from imucal.arguments import takes
 from imucal.arrays import FloatArray, never_changes, release
 from imucal.errors import ArgumentError, DataError
@@ -234,14 +234,15 @@ def _characterize_axis(
     if finite.n > _BLOCK and never_changes(finite.samples):
         raise no_noise(finite)
     at_samples = _temperature_at(finite, temperature)
-    with shared_transform(finite.samples):
-        curve = allan_curve(finite, taus=settings.taus, edf=settings.edf)
-        density = spectrum(finite)
-        # The fit reuses this transform.
-        result = fit_axis(finite, settings, temperature=at_samples, curve=curve)
-        opinions: tuple[Finding, ...] = ()
-        if settings.method == "mle" and result.model.terms:
-            opinions = _opinions(finite, result, at_samples, of_curve=settings.second_opinion)
+    transform = Transform.of(finite)
+    curve = allan_curve(finite, taus=settings.taus, edf=settings.edf, transform=transform)
+    density = spectrum(finite, transform=transform)
+    result = fit_axis(finite, settings, temperature=at_samples, curve=curve, transform=transform)
+    # The rest does not need it, but memory.
+    del transform
+    opinions: tuple[Finding, ...] = ()
+    if settings.method == "mle" and result.model.terms:
+        opinions = _opinions(finite, result, at_samples, of_curve=settings.second_opinion)
     findings = [f for f in screened if f.axis == series.name]
     if not _moved(screened):
         # If the IMU moved, only the findings of the screening are useful.

@@ -10,10 +10,7 @@ then the odd ones backwards: Makhoul (1980), IEEE Trans. ASSP 28, 27.
 """
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import TypeAlias
 
@@ -22,7 +19,7 @@ import scipy
 from numpy.typing import NDArray
 
 from imucal.arguments import takes
-from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays, read_only
+from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
 from imucal.errors import ArgumentError, DataError
 from imucal.frozen import frozen_alone
 from imucal.recording import AxisSeries
@@ -199,84 +196,53 @@ def dct_bins(n: int, *, singles: int = 128, per_octave: int = 48) -> DctBins:
     return DctBins(n=n, first=first, count=count, omega=np.pi * (first + (count - 1) / 2) / n)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Shared:
-    """Samples with cached transforms of long runs and numbers."""
+@frozen_alone
+class Transform(ReadOnlyArrays):
+    """The DCT of an axis's longest run without a gap, computed once for its curve, its spectrum and its fit.
 
-    samples: FloatArray
-    known: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
-    numbers: dict[str, float] = field(default_factory=dict)
-
-    def place(self, samples: FloatArray) -> tuple[int, int] | None:
-        """Return the offset and size of a run in the samples; None for other or too few samples."""
-        if 2 * samples.size <= self.samples.size or samples.strides != self.samples.strides:
-            return None
-        first, start = (array.__array_interface__["data"][0] for array in (self.samples, samples))
-        offset = (start - first) // self.samples.itemsize
-        # `self.samples` keeps this memory alive, so an address inside it belongs to these samples.
-        return (offset, samples.size) if 0 <= offset <= self.samples.size - samples.size else None
-
-
-_SHARED: ContextVar[_Shared | None] = ContextVar("shared transform", default=None)
-
-
-@contextmanager
-def shared_transform(samples: FloatArray) -> Iterator[None]:
-    """Let `dct_ordinates` transform the same run of `samples`, shape (n,), only once.
-
-    Do not change the samples inside the context.
+    Attributes
+    ----------
+    n
+        Number of samples of the axis.
+    start
+        First sample of the run.
+    ordinates
+        Orthonormal DCT-II ordinates k = 1 … m-1 of the m transformed samples, shape (m-1,), in U.
     """
-    shared = _SHARED.get()
-    if shared and shared.samples.size == samples.size and shared.place(samples) == (0, samples.size):
-        yield
-        return
-    if shared:
-        # Keep one transform at a time to save memory.
-        shared.known.clear()
-    token = _SHARED.set(_Shared(samples.view()))
-    try:
-        yield
-    finally:
-        _SHARED.reset(token)
+
+    n: int
+    start: int
+    ordinates: FloatArray
+
+    @classmethod
+    def of(cls, series: AxisSeries) -> "Transform | None":
+        """Return the transform of finite samples; None without two neighbours."""
+        longest = max(series.clock.segments, key=lambda segment: segment.size, default=None)
+        if longest is None or longest.size < 2:
+            return None
+        size = max(fast_length(longest.size), 2)
+        ordinates = dct_ordinates(series.samples[longest.start : longest.start + size])
+        return cls(n=series.n, start=longest.start, ordinates=ordinates)
 
 
-def shared_number(samples: FloatArray, name: str, work: Callable[[], float]) -> float:
-    """Return the result of `work` on `samples`, cached while their transform is shared."""
-    shared = _SHARED.get()
-    if shared is None or samples.size != shared.samples.size or shared.place(samples) is None:
-        return work()
-    if name not in shared.numbers:
-        shared.numbers[name] = work()
-    return shared.numbers[name]
+def run_ordinates(samples: FloatArray, start: int, size: int, transform: Transform | None) -> FloatArray:
+    """Return `dct_ordinates` of `size` samples of an axis from `start` on, from its `transform` if possible.
+
+    A transform of another number of samples is an ArgumentError.
+    """
+    if transform is not None:
+        if transform.n != samples.size:
+            raise ArgumentError(f"the transform is of {transform.n} samples, the axis has {samples.size}")
+        if (transform.start, transform.ordinates.size + 1) == (start, size):
+            return transform.ordinates
+    return dct_ordinates(samples[start : start + size])
 
 
 def dct_ordinates(samples: FloatArray) -> FloatArray:
     """Return the orthonormal DCT-II ordinates k = 1 … n-1 of `samples`, shape (n-1,), in U.
 
-    The ordinates of a shared transform are read-only. Fewer than 2 samples, or a value that is not finite,
-    raise a DataError.
+    Fewer than 2 samples, or a value that is not finite, raise a DataError.
     """
-    shared = _SHARED.get()
-    place = shared.place(samples) if shared else None
-    if not (shared and place):
-        return _transform(samples)
-    if place not in shared.known:
-        shared.known[place] = _transform(samples)
-    return read_only(shared.known[place])
-
-
-def own_ordinates(samples: FloatArray) -> FloatArray:
-    """Return the same as `dct_ordinates` in a writable array, removed from the shared transform.
-
-    Arrays that `dct_ordinates` returned for these samples are then invalid.
-    """
-    shared = _SHARED.get()
-    place = shared.place(samples) if shared else None
-    known = shared.known.pop(place, None) if shared and place else None
-    return _transform(samples) if known is None else known
-
-
-def _transform(samples: FloatArray) -> FloatArray:
     if samples.size < 2:
         raise DataError(f"the spectrum needs at least 2 samples, got {samples.size}")
     mean = float(samples.mean())
@@ -355,11 +321,12 @@ class Spectrum(ReadOnlyArrays):
 
 
 @takes('imucal.spectrum(recording["gyro_x"])', series=AxisSeries)
-def spectrum(series: AxisSeries, *, per_octave: int = 12) -> Spectrum:
+def spectrum(series: AxisSeries, *, per_octave: int = 12, transform: Transform | None = None) -> Spectrum:
     """Return the log-binned psd of an axis; missing samples are skipped.
 
     The squared DCT-II ordinates of each unbroken run estimate the two-sided density without leakage from
-    drift. The lowest eight frequencies have their own bins; higher bins widen to `per_octave` per octave.
+    drift. The lowest eight frequencies have their own bins; higher bins widen to `per_octave` per octave. A
+    `transform` of the finite samples saves time.
 
     Raises
     ------
@@ -376,7 +343,7 @@ def spectrum(series: AxisSeries, *, per_octave: int = 12) -> Spectrum:
     edges = np.pi * np.append(grid.first - 0.5, grid.n - 0.5) / grid.n
     power, count, omega = np.zeros((3, grid.size))
     for run, size in zip(runs, sizes, strict=True):
-        ordinates = dct_ordinates(series.samples[run.start : run.start + size])
+        ordinates = run_ordinates(series.samples, run.start, size, transform)
         if size == grid.n:
             power += bin_power(ordinates, grid)
             omega += grid.omega * grid.count

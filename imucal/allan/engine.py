@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from imucal.allan.curve import AllanCurve
+from imucal.allan.dct import Transform
 from imucal.allan.intervals import degrees_of_freedom, fit_curve, gappy_degrees_of_freedom, model_edf
 from imucal.allan.variance import (
     ESTIMATORS,
@@ -46,6 +47,7 @@ def allan_curve(
     taus: str | Sequence[float] = "octave",
     estimator: str = "overlapping",
     edf: str = "hybrid",
+    transform: Transform | None = None,
 ) -> AllanCurve:
     """Return the Allan curve of an axis, with the degrees of freedom of each value.
 
@@ -60,6 +62,8 @@ def allan_curve(
         ``overlapping`` (the Allan variance, MOAV), ``standard``, ``modified`` or ``hadamard``.
     edf
         ``hybrid``, ``model`` or ``greenhall``; see `imucal.allan.intervals`.
+    transform
+        The transform of the finite samples, to save time; None computes it.
 
     Returns
     -------
@@ -89,7 +93,7 @@ def allan_curve(
     if not series.clock.missing:
         computed, m = "exact", _factors(series, taus, chosen, series.n)
         avar = variances(series.samples, m, chosen)
-        freedom = degrees_of_freedom(series.samples, m, chosen, edf)
+        freedom = degrees_of_freedom(series.samples, m, chosen, edf, transform)
     else:
         computed, values = _of_gaps(series, taus, chosen)
         m, avar = values.m, values.avar
@@ -121,10 +125,12 @@ def refuse_tiny(series: AxisSeries) -> None:
         raise DataError(msg)
 
 
-def same_curve(series: AxisSeries, curve: AllanCurve) -> AllanCurve:
+def same_curve(series: AxisSeries, curve: AllanCurve, transform: Transform | None = None) -> AllanCurve:
     """Return the curve of an axis with the averaging times, estimator and method of another."""
     edf = curve.edf_method or "hybrid"
-    return allan_curve(series, taus=curve.tau.tolist(), estimator=curve.estimator, edf=edf)
+    return allan_curve(
+        series, taus=curve.tau.tolist(), estimator=curve.estimator, edf=edf, transform=transform
+    )
 
 
 def _strided(series: AxisSeries, taus: str) -> AllanCurve:

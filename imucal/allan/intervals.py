@@ -29,12 +29,12 @@ import numpy as np
 
 from imucal.allan.dct import (
     DctBins,
+    Transform,
     bin_power,
     dct_bins,
-    dct_ordinates,
     fast_length,
     ramp_ordinates,
-    shared_number,
+    run_ordinates,
 )
 from imucal.allan.variance import Estimator, GappyVariances, sum_of_squares
 from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
@@ -276,7 +276,13 @@ def _non_negative(basis: FloatArray, target: FloatArray, weight: FloatArray) -> 
     return non_negative((basis * root).T, target * root)[0]
 
 
-def degrees_of_freedom(samples: FloatArray, m: IntArray, estimator: Estimator, method: str) -> FloatArray:
+def degrees_of_freedom(
+    samples: FloatArray,
+    m: IntArray,
+    estimator: Estimator,
+    method: str,
+    transform: Transform | None = None,
+) -> FloatArray:
     """Return the equivalent degrees of freedom of each value of a curve, shape (k,), each at least 1.
 
     `samples` are evenly spaced and finite. An unknown method is a ValueError.
@@ -289,7 +295,7 @@ def degrees_of_freedom(samples: FloatArray, m: IntArray, estimator: Estimator, m
         return _greenhall(samples, m, terms, estimator)
     # Drop a few samples to make the transform fast.
     used = max(fast_length(samples.size), 2)
-    bins, ordinates = dct_bins(used), dct_ordinates(samples[:used])
+    bins, ordinates = dct_bins(used), run_ordinates(samples, 0, used, transform)
     power, edf = bin_power(ordinates, bins), np.empty(m.size)
     short = (m <= bins.n // _CROSSOVER) & (estimator.overlapping and method == "hybrid")
     edf[short] = spectral_edf(power, bins, m[short], terms[short], estimator)
@@ -394,12 +400,6 @@ def excess_kurtosis(samples: FloatArray, neighbours: BoolArray | None = None) ->
     """
     if samples.size < 3:
         return 0.0
-    if neighbours is None:
-        return shared_number(samples, "excess kurtosis", lambda: _excess_kurtosis(samples, None))
-    return _excess_kurtosis(samples, neighbours)
-
-
-def _excess_kurtosis(samples: FloatArray, neighbours: BoolArray | None) -> float:
     mean = float((samples[-1] - samples[0]) / (samples.size - 1))
     count = second = fourth = 0.0
     for start in range(0, samples.size - 1, _BLOCK):

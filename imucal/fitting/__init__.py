@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from imucal.allan import AllanCurve, allan_curve, spectrum
-from imucal.allan.dct import shared_transform
+from imucal.allan.dct import Transform
 from imucal.allan.engine import refuse_tiny, same_curve
 from imucal.arrays import FloatArray
 from imucal.fitting.cross_checks import ambiguity_findings, unseen_spectrum
@@ -96,14 +96,16 @@ def fit_axis(
     *,
     temperature: FloatArray | None = None,
     curve: AllanCurve | None = None,
+    transform: Transform | None = None,
 ) -> NoiseFit:
     """Fit a noise model to one axis, like `fit`, with a `FitSettings`.
 
+    A `transform` of the finite samples saves time; None computes it.
     The caller compares a fit of the curve with the spectrum (`ambiguity_findings`).
     """
     method = load_method(settings.method)
     if isinstance(series, AllanCurve):
-        result = method(None, series, settings, None)
+        result = method(None, series, settings, None, None)
         return replace(result, findings=(*result.findings, unseen_spectrum()))
     if temperature is not None:
         temperature = np.asarray(temperature, dtype=np.float64)
@@ -117,10 +119,11 @@ def fit_axis(
         # Maximum likelihood does the same.
         size_of_steps(series)
     cleaned, findings = clean_spikes(series) if settings.clean else (series, ())
-    if cleaned is not series:
-        series, curve = cleaned, same_curve(cleaned, curve) if curve else None
-    with shared_transform(series.samples):
-        if curve is None:
-            curve = allan_curve(series)
-        result = method(series, curve, settings, temperature)
+    if cleaned is not series or (transform is None and curve is None):
+        transform = Transform.of(cleaned)
+    if curve is None:
+        curve = allan_curve(cleaned, transform=transform)
+    elif cleaned is not series:
+        curve = same_curve(cleaned, curve, transform)
+    result = method(cleaned, curve, settings, temperature, transform)
     return replace(result, findings=findings + result.findings)

@@ -7,6 +7,7 @@ from typing import TypeAlias, cast
 import numpy as np
 
 from imucal.allan.curve import AllanCurve
+from imucal.allan.dct import Transform
 from imucal.arrays import FloatArray
 from imucal.errors import ArgumentError
 from imucal.fitting.noise_fit import NoiseFit
@@ -82,8 +83,11 @@ class FitSettings:
         return self.criterion if self.structure is None else "given"
 
 
-#: Fits finite samples (None for a curve alone), their curve, and the temperature in degrees Celsius.
-Method: TypeAlias = Callable[[AxisSeries | None, AllanCurve, FitSettings, FloatArray | None], NoiseFit]
+#: Fits finite samples (None for a curve alone), their curve, the temperature in degrees Celsius, and the
+#: transform of the samples (None computes it).
+Method: TypeAlias = Callable[
+    [AxisSeries | None, AllanCurve, FitSettings, FloatArray | None, Transform | None], NoiseFit
+]
 
 
 def load_method(name: str) -> Method:

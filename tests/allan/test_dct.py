@@ -4,19 +4,21 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
+from imucal.allan import allan_curve
 from imucal.allan import dct as dct_module
 from imucal.allan.dct import (
+    Transform,
     bin_power,
     dct_bins,
     dct_ordinates,
     fast_length,
-    own_ordinates,
     ramp_ordinates,
-    shared_number,
-    shared_transform,
+    spectrum,
 )
 from imucal.arrays import FloatArray
-from imucal.errors import DataError
+from imucal.errors import ArgumentError, DataError
+from imucal.fitting import FitSettings, fit_axis
+from imucal.recording import AxisSeries
 
 
 @pytest.mark.parametrize("n", [2, 3, 129, 130, 5000, 100_003])
@@ -102,70 +104,67 @@ def test_too_small_sizes_of_bins_are_rejected(sizes: tuple[int, int, int]) -> No
         dct_bins(n, singles=singles, per_octave=per_octave)
 
 
-def test_a_shared_transform_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs of more than half of the samples are transformed once, shorter runs and copies each time."""
-    samples = np.random.default_rng(77).standard_normal(1000)
-    expected = dct_ordinates(samples[:900])
-    made: list[int] = []
-    plain = dct_module._transform
-
-    def counted(run: FloatArray) -> FloatArray:
-        made.append(run.size)
-        return plain(run)
-
-    monkeypatch.setattr(dct_module, "_transform", counted)
-    with shared_transform(samples):
-        for run in (samples[:900], samples[:900], samples[100:], samples[:400], samples[:400]):
-            npt.assert_array_equal(dct_ordinates(run), plain(run))
-        npt.assert_array_equal(dct_ordinates(samples[:900]), expected)
-        assert made == [900, 900, 400, 400]
-        npt.assert_array_equal(dct_ordinates(2 * samples), plain(2 * samples))
-        assert made.pop() == 1000
-    dct_ordinates(samples[:900])
-    assert made == [900, 900, 400, 400, 900]
+def series_of(n: int, *, missing: tuple[int, ...] = ()) -> AxisSeries:
+    samples = np.random.default_rng(77).standard_normal(n)
+    samples[list(missing)] = np.nan
+    return AxisSeries.from_samples(samples, rate_hz=10.0).finite()
 
 
-def test_a_shared_number_is_computed_once() -> None:
-    """Only the shared samples count; numbers of copies and parts are computed each time."""
-    samples, calls = np.arange(100.0), []
-
-    def work() -> float:
-        calls.append(1)
-        return float(len(calls))
-
-    assert [shared_number(samples, "n", work) for _ in range(2)] == [1.0, 2.0]
-    with shared_transform(samples):
-        assert [shared_number(samples, "n", work) for _ in range(2)] == [3.0, 3.0]
-        assert shared_number(samples, "other", work) == 4.0
-        assert [shared_number(samples[1:], "n", work) for _ in range(2)] == [5.0, 6.0]
-        assert shared_number(samples.copy(), "n", work) == 7.0
-    assert shared_number(samples, "n", work) == 8.0
+@pytest.mark.parametrize(
+    ("missing", "start", "size"), [((), 0, 3000), ((100,), 100, 2899), ((1000, 2500), 1000, 1499)]
+)
+def test_a_transform_is_of_the_longest_run(missing: tuple[int, ...], start: int, size: int) -> None:
+    """Samples that were left out do not count as places."""
+    series = series_of(3000, missing=missing)
+    transform = Transform.of(series)
+    assert transform is not None
+    assert (transform.n, transform.start, transform.ordinates.size) == (series.n, start, size - 1)
+    assert not transform.ordinates.flags.writeable
+    npt.assert_array_equal(transform.ordinates, dct_ordinates(series.samples[start : start + size]))
 
 
-def test_a_shared_transform_can_be_owned(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The owner may write to it, and the next caller gets a new one; shared ones are read-only."""
-    samples = np.random.default_rng(78).standard_normal(500)
-    made: list[int] = []
-    plain = dct_module._transform
+def test_a_series_without_neighbours_has_no_transform() -> None:
+    assert Transform.of(series_of(3, missing=(1,))) is None
 
-    def counted(run: FloatArray) -> FloatArray:
-        made.append(run.size)
-        return plain(run)
 
-    monkeypatch.setattr(dct_module, "_transform", counted)
-    with shared_transform(samples):
-        assert not dct_ordinates(samples).flags.writeable
-        with shared_transform(samples):
-            own = own_ordinates(samples)
-        own *= 0.0
-        assert made == [500]
-        npt.assert_array_equal(dct_ordinates(samples), plain(samples))
-        assert made == [500, 500]
-        with shared_transform(2 * samples):
-            dct_ordinates(samples)
-        dct_ordinates(samples)
-        assert made == [500] * 4
-    npt.assert_array_equal(own_ordinates(samples), plain(samples))
+@pytest.mark.parametrize("missing", [(), (100,), (1000, 2500)])
+def test_results_with_and_without_a_transform_are_equal(missing: tuple[int, ...]) -> None:
+    """To all digits."""
+    series = series_of(3000, missing=missing)
+    transform = Transform.of(series)
+    npt.assert_array_equal(allan_curve(series, transform=transform).edf, allan_curve(series).edf)
+    npt.assert_array_equal(spectrum(series, transform=transform).psd, spectrum(series).psd)
+    curve = allan_curve(series)
+    plain = fit_axis(series, FitSettings(), curve=curve)
+    quick = fit_axis(series, FitSettings(), curve=curve, transform=transform)
+    assert plain["N"] == quick["N"]
+    npt.assert_array_equal(plain.curve.edf, quick.curve.edf)
+
+
+def test_the_samples_are_transformed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The curve, the spectrum and the fit use the transform."""
+    series = series_of(3000)
+    transform = Transform.of(series)
+    sizes: list[int] = []
+    plain = dct_module.dct2
+
+    def counted(samples: FloatArray, mean: float = 0.0) -> FloatArray:
+        sizes.append(samples.size)
+        return plain(samples, mean)
+
+    monkeypatch.setattr(dct_module, "dct2", counted)
+    curve = allan_curve(series, transform=transform)
+    spectrum(series, transform=transform)
+    fit_axis(series, FitSettings(), curve=curve, transform=transform)
+    assert series.n not in sizes
+    fit_axis(series, FitSettings())
+    assert sizes.count(series.n) == 1
+
+
+def test_the_transform_of_another_axis_is_refused() -> None:
+    """Only the number of samples is compared."""
+    with pytest.raises(ArgumentError, match="the transform is of 500 samples, the axis has 3000"):
+        spectrum(series_of(3000), transform=Transform.of(series_of(500)))
 
 
 @pytest.mark.parametrize("n", [2, 3, 64, 501, 8193, 30_000])

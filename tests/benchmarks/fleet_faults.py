@@ -43,6 +43,8 @@ def main() -> None:
                 failed += 1
                 line = traceback.extract_tb(error.__traceback__)[-1]
                 outcome = f"FAILED in {line.name}:{line.lineno} {line.line}: {type(error).__name__}: {error}"
+            finally:
+                bench.end_runs()
             seconds = time.monotonic() - begun
             print(
                 f"{fault.__name__:42} {seconds:6.1f} s, load {os.getloadavg()[0]:.1f}  {outcome}", flush=True

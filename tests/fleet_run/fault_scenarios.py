@@ -22,6 +22,7 @@ from distributed import Client
 from tests.fleet_run.faults import (
     Bench,
     Ended,
+    Hold,
     children_of,
     cluster,
     ended,
@@ -66,11 +67,13 @@ def process_of_a_log_killed_again_and_again(bench: Bench) -> str:
 
 
 def worker_killed(bench: Bench) -> str:
-    """Kill a worker of a cluster; another worker does its batch."""
-    with cluster(bench.folder, workers=bench.jobs) as (address, _):
+    """Kill a worker of a cluster within a batch; another worker does it."""
+    hold = Hold(bench.folder / "held")
+    with cluster(bench.folder, workers=bench.jobs, environment=hold.environment) as (address, _):
         run = bench.start("worker", "--scheduler", address)
         wait_until(lambda: bool(workers_of(bench.folder)) or run.poll() is not None)
         workers_of(bench.folder)[0].kill()
+        hold.release()
         end = ended(run)
     assert end.code == 0, end.err
     return _same(bench, "worker", end)

@@ -51,6 +51,7 @@ class Bench:
 
     def __init__(self, folder: Path, *, jobs: int = 2) -> None:
         self.folder, self.jobs = folder, jobs
+        self._runs: list[subprocess.Popen[str]] = []
 
     def store(self, name: str) -> FleetStore:
         """Return a store of the folder."""
@@ -61,7 +62,7 @@ class Bench:
     ) -> subprocess.Popen[str]:
         """Start a run in its own session, like a terminal."""
         command = ["fleet", "run", logs, "-o", name, "--max-failed", "100%", *arguments]
-        return subprocess.Popen(  # noqa: S603 - our own command
+        process = subprocess.Popen(  # noqa: S603 - our own command
             [sys.executable, "-c", COMMAND, *command],
             cwd=self.folder,
             stdout=subprocess.PIPE,
@@ -70,6 +71,20 @@ class Bench:
             start_new_session=True,
             preexec_fn=limit,  # noqa: PLW1509 - the limit only applies to the run
         )
+        self._runs.append(process)
+        return process
+
+    def end_runs(self) -> None:
+        """Kill the runs that a failed scenario left, and close all pipes."""
+        for process in self._runs:
+            if process.poll() is None:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            for pipe in (process.stdout, process.stderr):
+                if pipe is not None:
+                    pipe.close()
+        self._runs.clear()
 
     def run(
         self, name: str, *arguments: str, logs: str = "logs", limit: Callable[[], object] | None = None
@@ -125,6 +140,7 @@ def ended(run: subprocess.Popen[str]) -> Ended:
         out, err = run.communicate(timeout=PATIENCE)
     except subprocess.TimeoutExpired:
         os.killpg(run.pid, signal.SIGKILL)
+        run.communicate()
         raise
     return Ended(code=run.returncode, out=out, err=err)
 
@@ -181,6 +197,29 @@ def huge_log(path: Path, *, samples: int = 5_000_000) -> None:
     """Create a log of one axis with many samples."""
     rate = np.random.default_rng(0).standard_normal(samples, np.float32)
     np.savez(path, **{"gz (rad/s)": rate, "time (s)": np.arange(samples) / 200})  # type: ignore[arg-type]
+
+
+class Hold:
+    """Makes the processes of logs wait before their work, in processes with this `environment`."""
+
+    _WAIT = f"""
+import os, sys, time
+go = os.path.join(os.path.dirname(__file__), "go")
+while {CHILD!r} in " ".join(sys.orig_argv) and not os.path.exists(go):
+    time.sleep(0.02)
+"""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        folder.mkdir()
+        # Python imports this module when it starts.
+        (folder / "sitecustomize.py").write_text(self._WAIT, encoding="utf-8")
+        others = os.environ.get("PYTHONPATH")
+        self.environment = {"PYTHONPATH": os.pathsep.join(filter(None, [str(folder), others]))}
+
+    def release(self) -> None:
+        """Let all processes work."""
+        (self._folder / "go").touch()
 
 
 @contextlib.contextmanager

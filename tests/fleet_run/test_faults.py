@@ -27,5 +27,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 @pytest.mark.parametrize("fault", QUICK, ids=lambda fault: fault.__name__)
 def test_a_fault_loses_no_log_and_changes_no_result(bench: Bench, fault: Callable[[Bench], str]) -> None:
     """The exit code is right, no log is repeated, and the results equal those of an undisturbed run."""
-    summary = fault(bench)
+    try:
+        summary = fault(bench)
+    finally:
+        bench.end_runs()
     assert any(end in summary for end in ("same results", "all others done", "refused", "timeout"))

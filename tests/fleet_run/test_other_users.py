@@ -48,15 +48,18 @@ def test_a_run_opens_no_port_and_no_pipe_to_others(tmp_path: Path) -> None:
     """None of its processes has a socket, and other users cannot write to their pipes."""
     bench = Bench(tmp_path.resolve())
     make_fleet(bench.folder / "logs", logs=3, seconds=60.0, seed=81)
-    run = bench.start("store", "--jobs", "2")
-    wait_until(lambda: len(children_of(run.pid)) == 2 or run.poll() is not None)
-    tree = [psutil.Process(run.pid), *psutil.Process(run.pid).children(recursive=True)]
-    assert [process.net_connections(kind="all") for process in tree] == [[]] * len(tree)
-    if IS_ROOT:
-        for child in children_of(run.pid):
-            tried = as_nobody("/bin/sh", "-c", f"echo task > /proc/{child.pid}/fd/0", cwd=Path("/"))
-            assert "ermission denied" in tried.stderr
-    assert ended(run).code == 0
+    try:
+        run = bench.start("store", "--jobs", "2")
+        wait_until(lambda: len(children_of(run.pid)) == 2 or run.poll() is not None)
+        tree = [psutil.Process(run.pid), *psutil.Process(run.pid).children(recursive=True)]
+        assert [process.net_connections(kind="all") for process in tree] == [[]] * len(tree)
+        if IS_ROOT:
+            for child in children_of(run.pid):
+                tried = as_nobody("/bin/sh", "-c", f"echo task > /proc/{child.pid}/fd/0", cwd=Path("/"))
+                assert "ermission denied" in tried.stderr
+        assert ended(run).code == 0
+    finally:
+        bench.end_runs()
 
 
 def test_a_run_loads_no_module_that_others_planted(tmp_path: Path, shared: Path) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import scipy
 
 from imucal.allan.curve import AllanCurve
+from imucal.allan.dct import Transform
 from imucal.arrays import FloatArray, read_only
 from imucal.errors import DataError
 from imucal.findings import Finding
@@ -33,6 +34,7 @@ def fit_gmwm(
     curve: AllanCurve,
     settings: FitSettings,
     _temperature: FloatArray | None = None,
+    _transform: Transform | None = None,
 ) -> NoiseFit:
     """Fit a noise model to Allan variances, overlapping or standard; `series` is None for a curve alone.
 

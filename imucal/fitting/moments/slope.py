@@ -14,6 +14,7 @@ import numpy as np
 import scipy
 
 from imucal.allan.curve import AllanCurve
+from imucal.allan.dct import Transform
 from imucal.arrays import FloatArray, IntArray, read_only
 from imucal.fitting.moments.points import AvarPoints, avar_points, columns, unit_terms
 from imucal.fitting.moments.search import ROUGH, Solution, all_terms, goodness, minimum
@@ -149,6 +150,7 @@ def fit_slope(
     curve: AllanCurve,
     settings: FitSettings,
     _temperature: FloatArray | None = None,
+    _transform: Transform | None = None,
     *,
     windows: Mapping[str, tuple[float, float]] | None = None,
 ) -> NoiseFit:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from imucal.allan.dct import DctBins, dct_bins, fast_length, own_ordinates, ramp_ordinates
+from imucal.allan.dct import DctBins, Transform, dct_bins, fast_length, ramp_ordinates, run_ordinates
 from imucal.allan.engine import refuse_tiny
 from imucal.allan.variance import Run, runs_of
 from imucal.arrays import BoolArray, FloatArray, IntArray
@@ -148,9 +148,12 @@ def _steps_and_bends(samples: FloatArray, largest: float) -> tuple[float, float]
     return total / (samples.size - 1), bends
 
 
-def make_blocks(series: AxisSeries, temperature: FloatArray | None = None) -> SeriesBlocks:
+def make_blocks(
+    series: AxisSeries, temperature: FloatArray | None = None, transform: Transform | None = None
+) -> SeriesBlocks:
     """Return the ordinates of finite samples, with gaps completed and lines left out.
 
+    `transform` is that of the samples; None computes it.
     Too few samples, equal samples, and no long enough run raise a DataError.
     """
     scale = scale_of(series)
@@ -166,7 +169,8 @@ def make_blocks(series: AxisSeries, temperature: FloatArray | None = None) -> Se
     longest = 0
     for run in runs:
         quick = _quick(series, run)
-        block = _transform(series, quick, _bins(quick.end - quick.first, len(runs)), scale, temperature)
+        bins = _bins(quick.end - quick.first, len(runs))
+        block = _transformed(series, quick, bins, scale, temperature, transform)
         ordinates, sines = without_strong_lines(block.ordinates, block.bins)
         kept, found = find_lines(ordinates, block.bins, scale=scale, rate_hz=series.rate_hz)
         blocks.append(replace(block, ordinates=ordinates, kept=kept))
@@ -201,8 +205,13 @@ def _bins(size: int, blocks: int) -> DctBins:
     return dct_bins(size, singles=max(16, 512 // blocks), per_octave=max(10, 192 // blocks))
 
 
-def _transform(
-    series: AxisSeries, run: Run, bins: DctBins, scale: float, temperature: FloatArray | None
+def _transformed(  # noqa: PLR0917 - a step of `make_blocks`
+    series: AxisSeries,
+    run: Run,
+    bins: DctBins,
+    scale: float,
+    temperature: FloatArray | None,
+    transform: Transform | None,
 ) -> Block:
     samples = series.samples[run.start : run.stop]
     if temperature is not None:
@@ -210,8 +219,7 @@ def _transform(
     variance = loss = drawn = None
     if samples.size == bins.n:
         # Exact, because `scale` is a power of two.
-        ordinates = own_ordinates(samples)
-        ordinates /= scale
+        ordinates = run_ordinates(series.samples, run.start, samples.size, transform) / scale
     else:
         grid = series.clock.grid(run.start, run.stop) - run.first
         seen = np.zeros(bins.n, dtype=bool)

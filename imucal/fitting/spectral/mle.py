@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from imucal.allan.curve import AllanCurve
+from imucal.allan.dct import Transform
 from imucal.allan.intervals import power_response
 from imucal.allan.variance import ESTIMATORS
 from imucal.arrays import FloatArray, IntArray
@@ -62,17 +63,21 @@ class View:
 
 
 def fit_mle(
-    series: AxisSeries | None, curve: AllanCurve, settings: FitSettings, temperature: FloatArray | None = None
+    series: AxisSeries | None,
+    curve: AllanCurve,
+    settings: FitSettings,
+    temperature: FloatArray | None = None,
+    transform: Transform | None = None,
 ) -> NoiseFit:
     """Fit a noise model to finite samples, gaps allowed, by maximum likelihood.
 
     A curve without samples is a ValueError. Samples that are too few or all equal are a DataError.
-    `temperature`, shape (n,), is in degrees Celsius at the samples.
+    `temperature`, shape (n,), is in degrees Celsius at the samples. `transform` is computed if None.
     """
     if series is None:
         msg = "maximum likelihood needs the samples, got an Allan curve; use method 'gmwm' or 'slope'"
         raise ValueError(msg)
-    view = spectral_view(series, settings, temperature)
+    view = spectral_view(series, settings, temperature, transform)
     widening = {"N": heavy_tails(series.samples)}
     problem = Problem(ordinates=view.ordinates, level=settings.level, tau0=series.tau0, widening=widening)
     choice = _choice(problem, view.band, settings)
@@ -220,9 +225,14 @@ def _spectra(whole: Ordinates, fitted: Fits, band: Band) -> tuple[FloatArray, Fl
     return model, seen
 
 
-def spectral_view(series: AxisSeries, settings: FitSettings, temperature: FloatArray | None) -> View:
+def spectral_view(
+    series: AxisSeries,
+    settings: FitSettings,
+    temperature: FloatArray | None,
+    transform: Transform | None = None,
+) -> View:
     """Return the part of the spectrum that a rich model describes."""
-    blocks = make_blocks(series, temperature)
+    blocks = make_blocks(series, temperature, transform)
     found, doubtful, findings = find_shapes(series, blocks)
     common, may_be = (tuple(name for one in shapes for name in one.names) for shapes in (found, doubtful))
     whole = bin_blocks(blocks.blocks, blocks.scale, ("R", *common))

@@ -324,6 +324,12 @@ _BY_CHANCE = 1e-3
 #: Ratio of the median steps from which every sample was logged more than once.
 _SLOWER = 1.5
 
+#: Most rows with the first time stamp that are left out: headers of loggers have up to 3 such rows. More rows
+#: are samples from before the clock was set.
+_MAX_FIRST_ROWS = 8
+#: Rows after them that must all have different stamps; otherwise the clock is coarse, and they are samples.
+_ROWS_BELOW = 1000
+
 #: Operating temperatures of electronics, in degrees Celsius; values outside are raw counts.
 _TEMPERATURES = (-80.0, 200.0)
 #: The median is taken of at least this many values.
@@ -339,7 +345,8 @@ def assemble(
     """
     for what, how in chain.from_iterable(plan.decisions for plan in plans):
         work.decide(what, how)
-    kept = [_without_held(work, _of_sensor(work, columns)) for columns in sensors]
+    samples = _without_first_rows(work, [_of_sensor(work, columns) for columns in sensors])
+    kept = [_without_held(work, columns) for columns in samples]
     lacking: list[ChoiceError] = []
     both = list(zip(kept, _clocks(work, kept, lacking), strict=True))
     try:
@@ -464,6 +471,64 @@ def _of_sensor(work: RecordingBuilder, columns: SensorColumns) -> SensorColumns:
     if count(keep) == n:
         return columns
     return replace(columns.rows(keep, room), rows_left=blake2b(keep.data).digest())
+
+
+def _without_first_rows(work: RecordingBuilder, sensors: Sequence[SensorColumns]) -> list[SensorColumns]:
+    """Drop the first rows if they repeat one time stamp and no other row does.
+
+    PSINS writes rows of initial values and scales, with the time zero, above the samples. At most one of the
+    rows can be a sample: the last, if it is like the samples below.
+    """
+    if any(columns.table or columns.compared is not None for columns in sensors):
+        # Messages have no such rows.
+        return [*sensors]
+    groups: dict[tuple[Any, ...], list[SensorColumns]] = {}
+    for columns in sensors:
+        groups.setdefault(_rows_of(columns), []).append(columns)
+    surplus = {rows: _first_rows(group) for rows, group in groups.items()}
+    for rows, first in surplus.items():
+        if first:
+            text = (
+                f"The first rows repeat one time stamp, unlike the others: {first} of them are no samples "
+                "and were left out."
+            )
+            axis = groups[rows][0].plan.triad.sensor.short if len(groups) > 1 else None
+            work.findings.append(Finding("info", "first-rows", text, axis=axis))
+    return [_from_row(work, columns, surplus[_rows_of(columns)]) for columns in sensors]
+
+
+def _rows_of(columns: SensorColumns) -> tuple[Any, ...]:
+    """Return a key that is equal for sensors with the same rows and time."""
+    return columns.plan.time, columns.plan.triad.rows, columns.rows_left, columns.axes[0].size
+
+
+def _first_rows(sensors: Sequence[SensorColumns]) -> int:
+    """Return the number of first rows that are no samples of sensors with the same rows."""
+    times = [column[: _MAX_FIRST_ROWS + _ROWS_BELOW] for column in sensors[0].time]
+    if not times or times[0].size < _MIN_REMAINING:
+        return 0
+    repeated = np.all([np.diff(time) == 0 for time in times], axis=0)
+    equal_stamps = int(np.argmin(repeated))
+    if not 0 < equal_stamps < _MAX_FIRST_ROWS or repeated[equal_stamps:].any():
+        return 0
+    axes = [axis[equal_stamps : equal_stamps + _ROWS_BELOW] for columns in sensors for axis in columns.axes]
+    last_is_sample = not any(_is_far(axis[0], axis[1:]) for axis in axes)
+    return equal_stamps if last_is_sample else equal_stamps + 1
+
+
+def _is_far(value: float, others: FloatArray) -> bool:
+    """Return whether a value is further from the range of the others than the range is wide."""
+    low, high = float(others.min()), float(others.max())
+    return bool(value < 2 * low - high or value > 2 * high - low)
+
+
+def _from_row(work: RecordingBuilder, columns: SensorColumns, first: int) -> SensorColumns:
+    if not first:
+        return columns
+    keep = work.room.made(columns.axes[0].size, np.bool_, lambda _: True)
+    keep[:first] = False
+    mask = blake2b(columns.rows_left + keep.tobytes()).digest()
+    return replace(columns.rows(keep, work.room), rows_left=mask)
 
 
 def _without_held(work: RecordingBuilder, columns: SensorColumns) -> SensorColumns:

@@ -22,6 +22,7 @@ Kind: TypeAlias = Literal["integer", "float"] | TextKind
 _TEXTS: tuple[Kind, ...] = get_args(TextKind)
 
 _QUOTED = re.compile(rb'"[^"\n]*"')
+_BLANK_LINES = re.compile(rb"\n\n+")
 _UNCLOSED = re.compile(rb'(?m)^[^"\n]*"[^\n]*$')
 
 #: Extra column for cells beyond the layout.
@@ -60,6 +61,8 @@ class BlockReader:
     good: int = 0
     bad: int = 0
     first_bad: str = ""
+    #: Bytes since the last block with a good row.
+    bytes_without_rows: int = 0
     columns: dict[int, GrowingColumn] = field(init=False)
     _pattern: re.Pattern[bytes] | None = field(init=False)
     _mark: str = field(init=False)
@@ -80,14 +83,19 @@ class BlockReader:
             block = self.layout.prepare(block)
         if self._pattern is not None:
             block = b"\n".join(self._pattern.findall(block)) + b"\n"
-        block = self._plain(block)
+        self.bytes_without_rows += len(block)
+        # A table of many blank lines takes much memory.
+        block = _BLANK_LINES.sub(b"\n", self._plain(block))
         if not block or block.isspace():
             return
         values, bad = self._values(self._parsed(block))
         if bad.any():
             self._count_bad(block.split(b"\n"), np.flatnonzero(bad))
             values = {index: array[~bad] for index, array in values.items()}
-        self.good += len(next(iter(values.values())))
+        good = len(next(iter(values.values())))
+        self.good += good
+        if good:
+            self.bytes_without_rows = 0
         for index, column in self.columns.items():
             column.append(values[index])
 

@@ -263,6 +263,16 @@ class TextSource(AbstractContextManager["TextSource"]):
             f"{shlex.quote(self.name)} > imu.csv"
         )
 
+    def keep_lines(self, count: int) -> str:
+        """Return how to write the first lines to another file."""
+        if not Path(self.name).is_file():
+            return f"keep its first {count} lines"
+        path = shlex.quote(self.name)
+        if self.compression == "none":
+            return f"keep its first {count} lines, with head -n {count} {path} > log.csv"
+        command = f"{_UNPACKERS[self.compression]} -c {path} | head -n {count} > log.csv"
+        return f"keep its first {count} lines, with {command}"
+
     def files(self) -> tuple[LogFileInfo, ...]:
         """Return size and checksum of standard input; empty for a file, which can be read again."""
         if not isinstance(self._raw, CountedStream):

@@ -10,7 +10,7 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path, PurePath
@@ -99,6 +99,13 @@ def _other_rows(path: str, layout: TextLayout) -> str:
 
 #: A wider table has no row per sample.
 _MAX_COLUMNS = 500
+#: Longest text between two rows of a table, in bytes. Logs with messages between their rows have a row in
+#: every few KB. A line that is no row costs 2 µs, so 200 MB of them would take a minute.
+_MAX_WITHOUT_ROWS = 8 << 20
+#: Longest compressed text of one repeated line, in bytes: a million rows, which take 2 s to read.
+_MAX_REPEATED_TEXT = 32 << 20
+#: Bytes of a line that an error shows.
+_SHOWN = 60
 #: Advice for a file without samples.
 _ONLY_TIMES = "it contains only times; write them next to the samples, such as with paste -d ,"
 
@@ -132,7 +139,7 @@ def read_table(
     expected = 0 if head else source.expected_rows
     readers = [_reader(source.head, layout, part, options.memory_limit, expected) for part in plans]
     blocks = [("\n".join(source.head) + "\n").encode()] if head else source.blocks()
-    cut = _read_blocks(blocks, layout, readers)
+    cut = _read_blocks(source, blocks, layout, readers)
     findings = _row_findings(source, cut, layout, readers, strict=options.strict)
     sensors = []
     for reader, part in zip(readers, plans, strict=True):
@@ -207,9 +214,15 @@ def _of_rows(lines: Sequence[str], layout: TextLayout, rows: Rows) -> TextLayout
     return replace(layout, width=width, rows=tuple(row for row in cells if len(row) == width))
 
 
-def _read_blocks(blocks: Iterable[bytes], layout: TextLayout, readers: Sequence[BlockReader]) -> str:
-    """Read all rows; return the last line if it may be truncated."""
+def _read_blocks(
+    source: TextSource, blocks: Iterable[bytes], layout: TextLayout, readers: Sequence[BlockReader]
+) -> str:
+    """Read all rows; return the last line if it may be truncated.
+
+    Raises ReadError if a long part of the text has no rows.
+    """
     cut, before = "", layout.start
+    watch = _RowWatch(source, layout.width, lines=before)
     for block in blocks:
         *above, whole = block.split(b"\n", before) if before else [block]
         before -= len(above)
@@ -226,7 +239,47 @@ def _read_blocks(blocks: Iterable[bytes], layout: TextLayout, readers: Sequence[
                 cut, whole = last, whole[:end]
         for reader in readers:
             reader.add(whole)
+        watch.check(whole, readers)
     return cut
+
+
+@dataclass(slots=True)
+class _RowWatch:
+    """Refuses a text with a long part that has no rows or, if it is compressed, repeats one line."""
+
+    source: TextSource
+    width: int
+    lines: int = 0
+    lines_with_rows: int = 0
+    repeated: int = 0
+
+    def check(self, block: bytes, readers: Sequence[BlockReader]) -> None:
+        """Raise ReadError after too many bytes without a row; `readers` have read the block."""
+        is_repeated = self.source.compression != "none" and _repeats_a_line(block)
+        self.repeated = self.repeated + len(block) if is_repeated else 0
+        without_rows = min(reader.bytes_without_rows for reader in readers)
+        self.lines += block.count(b"\n")
+        if not without_rows and not self.repeated:
+            self.lines_with_rows = self.lines
+        line = block.lstrip()[:_SHOWN].partition(b"\n")[0].decode("utf-8", "replace").strip()
+        found = ""
+        if without_rows > _MAX_WITHOUT_ROWS:
+            found = f"have no row of {self.width} numbers, such as {line!r}; expected a row per sample"
+        elif self.repeated > _MAX_REPEATED_TEXT:
+            found = f"repeat the line {line!r}; expected samples that differ"
+        if found:
+            amount = max(without_rows, self.repeated) >> 20
+            below = f"below line {self.lines_with_rows}, {amount} MiB"
+            way = self.source.keep_lines(self.lines_with_rows)
+            raise refused(self.source.name, f"{below} {found}; {way}")
+
+
+def _repeats_a_line(block: bytes) -> bool:
+    """Return whether all lines of a block are the same."""
+    width = block.find(b"\n") + 1
+    if not 0 < width < len(block) or block[:width] != block[width : 2 * width]:
+        return False
+    return block[width:] == block[:-width]
 
 
 def _row_findings(

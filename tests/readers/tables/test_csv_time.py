@@ -360,3 +360,39 @@ def test_stamps_with_too_few_digits_are_refused_and_a_rate_replaces_them(tmp_pat
     found = recorded(tmp_path, "timestamp", stamps, rate_hz=100.0)
     assert found.series[0].rate_hz == 100.0
     assert "time-unused" in {finding.code for finding in found.findings}
+
+
+def psins(
+    folder: Path, *, start: float, above: str = "1 2 3 1 1 1 0\n.9 .9 .9 .5 .5 .5 0\n0 0 0 0 0 0 0\n"
+) -> Path:
+    """Write a text whose first rows are initial values and scales with the time zero."""
+    true = truth()
+    values = np.column_stack([true.gyro, true.accel, start + np.arange(N) / 100])
+    rows = "\n".join(" ".join(f"{value:.9g}" for value in row) for row in values)
+    path = folder / "log.imu"
+    path.write_text(f"% [gx, gy, gz, ax, ay, az, t]\n{above}{rows}\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("start", [0.0, 0.01, 300.0])
+def test_first_rows_that_repeat_a_stamp_are_no_samples(tmp_path: Path, start: float) -> None:
+    """The last of them is a sample only if its values are like the others."""
+    recording = read(psins(tmp_path, start=start), ReadOptions(gyro_unit="rad/s", accel_unit="m/s^2"))
+    for sensor, values in ((Sensor.GYROSCOPE, truth().gyro), (Sensor.ACCELEROMETER, truth().accel)):
+        for axis, series in enumerate(one for one in recording.series if one.sensor is sensor):
+            npt.assert_allclose(series.samples, values[:, axis], rtol=1e-8)
+            assert series.rate_hz == pytest.approx(100)
+    (finding,) = [one for one in recording.findings if one.code == "first-rows"]
+    assert (finding.level, finding.axis) == ("info", None)
+    assert ": 3 of them are no samples" in finding.text
+
+
+@pytest.mark.parametrize("repeated", [1, 2, 9])
+def test_samples_with_the_same_stamp_as_the_first_are_kept_if_others_repeat_stamps(
+    tmp_path: Path, repeated: int
+) -> None:
+    """A coarse clock, and one that starts late, are no reason to drop samples."""
+    ticks = np.arange(N) // (repeated + 1)
+    recording = recorded(tmp_path, "time_ms", 10 * (repeated + 1) * ticks)
+    assert recording.series[0].n == N
+    assert "first-rows" not in {finding.code for finding in recording.findings}

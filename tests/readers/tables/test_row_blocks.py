@@ -1,11 +1,13 @@
 """Parsing of row blocks: numbers, rows of samples, and bad rows."""
 
+import io
 import math
 
 import pytest
 
 from imucal.readers.tables.layout import BLANKS, TextLayout, row_pattern
 from imucal.readers.tables.text_blocks import BlockReader, Kind
+from imucal.readers.tables.text_source import TextSource
 from imucal.readers.tables.text_table import _read_blocks
 
 
@@ -140,5 +142,6 @@ def test_rows_are_selected_by_the_complete_tag(index: int, delimiter: str, found
 def test_the_first_lines_are_skipped_across_blocks(start: int, left: list[int]) -> None:
     blocks = reader()
     layout = TextLayout(width=3, rows=(), start=start)
-    assert _read_blocks([b"1,2,3\n2,2,3\n", b"3,2,3\n4,2,3\n"], layout, [blocks]) == ""
+    source = TextSource("log", io.BytesIO(b"1,2,3\n"))
+    assert _read_blocks(source, [b"1,2,3\n2,2,3\n", b"3,2,3\n4,2,3\n"], layout, [blocks]) == ""
     assert blocks.columns[0].take().tolist() == left

@@ -6,12 +6,14 @@ import io
 import lzma
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO, cast
 
 import pytest
 
 from imucal.errors import ReadError
+from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.text_source import (
     CountedStream,
     TextSource,
@@ -20,6 +22,7 @@ from imucal.readers.tables.text_source import (
     open_text,
     read_fully,
 )
+from imucal.readers.tables.text_table import read
 
 
 def utf16(zeros: int, at: int) -> bytes:
@@ -186,3 +189,58 @@ def test_a_compressed_text_of_usual_ratio_is_read_completely() -> None:
     data = gzip.compress(LINES + 4 * REPEATED)
     source = TextSource("log", io.BytesIO(data), size=len(data))
     assert sum(map(len, source.blocks())) == len(LINES) + 4 * len(REPEATED)
+
+
+ROWS = "t (s),gx (rad/s),gy,gz\n" + "".join(f"{k / 100},{k % 7},{k % 5},{k % 3}\n" for k in range(5000))
+_PACKERS: dict[str, Callable[[bytes], bytes]] = {
+    "none": bytes,
+    "gzip": partial(gzip.compress, compresslevel=1),
+    "xz": partial(lzma.compress, preset=0),
+}
+
+
+@pytest.mark.parametrize(
+    ("compression", "line"),
+    [
+        ("none", ""),
+        ("gzip", ""),
+        ("xz", ""),
+        ("gzip", "# nothing-but-a-comment" * 40),
+        ("none", "no numbers" * 99),
+    ],
+)
+def test_a_long_text_without_rows_ends_the_reading(tmp_path: Path, compression: str, line: str) -> None:
+    """The error has the place, a line from there, and a command that keeps the rows."""
+    path = tmp_path / "log.csv"
+    # The first block of 4 MiB contains the rows.
+    junk = (line + "\n") * ((13 << 20) // (len(line) + 1))
+    path.write_bytes(_PACKERS[compression](f"{ROWS}{junk}".encode()))
+    with pytest.raises(ReadError) as error:
+        read(path, ReadOptions())
+    message = str(error.value)
+    count = int(message.partition("below line ")[2].partition(",")[0])
+    assert count >= ROWS.count("\n")
+    assert f" MiB have no row of 4 numbers, such as {line[:60]!r}; expected a row per sample; " in message
+    assert message.endswith(f"head -n {count} {path} > log.csv" if compression == "none" else "> log.csv")
+
+
+def test_a_compressed_text_of_one_repeated_row_ends_the_reading(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv.gz"
+    row = "50.0,1.2500000,2.5000000,3.500000\n"
+    with gzip.open(path, "wb", compresslevel=1) as file:
+        file.write(ROWS.encode())
+        for _ in range(48):
+            file.write((row * ((1 << 20) // len(row))).encode())
+    with pytest.raises(ReadError, match=r"MiB repeat the line '50.0,1.25.*'; expected samples that differ"):
+        read(path, ReadOptions())
+
+
+def test_lines_without_numbers_between_the_rows_of_a_long_text_are_no_obstacle(tmp_path: Path) -> None:
+    """Each block of 4 MiB has rows."""
+    path = tmp_path / "log.csv.gz"
+    header, *rows = ROWS.splitlines()
+    comments = ("#" * 99 + "\n") * 45_000
+    middle = len(rows) // 2
+    text = "\n".join([header, *rows[:middle], comments, *rows[middle:], comments])
+    path.write_bytes(gzip.compress(text.encode(), compresslevel=1))
+    assert read(path, ReadOptions()).series[0].n == len(rows)
