@@ -1,6 +1,7 @@
 """calibrate: a recording of rests and turns -> bias, scale, misalignment and g-sensitivity with intervals."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -109,14 +110,15 @@ def calibrate(
     """
     if frame not in FRAMES:
         raise ArgumentError(f"no frame {frame!r}; choose one of {', '.join(FRAMES)}")
-    where = f"{recording.source.path}: "
     known = None if turns is None else known_angle(turns)
     place = gravity_at(gravity=gravity, latitude=latitude, height=height)
     accelerometer = triad(recording, Sensor.ACCELEROMETER)
     gyroscope = triad(recording, Sensor.GYROSCOPE) if gyro else None
     if accelerometer is None:
-        raise DataError(f"{where}no accelerometer; calibration needs gravity as its reference")
-    try:
+        raise DataError(
+            f"{recording.source.path}: no accelerometer; calibration needs gravity as its reference"
+        )
+    with _in_log(recording):
         spans = find_rests(accelerometer, gyroscope, at_least_s=seconds_of(rest_at_least), in_hand=in_hand)
         require_rests(spans, accelerometer, gyroscope)
         si = _accelerometer_is_si(recording, accelerometer)
@@ -143,8 +145,6 @@ def calibrate(
         used = ~moved | kept
         found, turning = found.moving(kept), turning and turning.moving(kept)
         estimate = _estimate(found.keeping(used), place, si=si)
-    except DataError as error:
-        raise DataError(f"{where}{error}", remedy=error.remedy) from error
     axes = Frame.of(frame, _lower(estimate.theta))
     sigma = np.full(len(spans), np.nan)
     sigma[used] = np.sqrt(np.diag(estimate.fit.residual_covariance))
@@ -153,7 +153,7 @@ def calibrate(
     trouble, rotating = "", None
     if turning is not None:
         both = found.keeping(used), turning.keeping(used)
-        try:
+        with _in_log(recording):
             rotating, every_turn, trouble = _gyroscope(
                 both,
                 estimate,
@@ -164,8 +164,6 @@ def calibrate(
                 frame=axes,
                 si=(_said_si(recording, Sensor.GYROSCOPE), si),
             )
-        except DataError as error:
-            raise DataError(f"{where}{error}", remedy=error.remedy) from error
     found_all = Calibration(
         source=replace(recording.source, read=recording.source.read or ReadRange.of(recording.series)),
         gravity=place,
@@ -191,6 +189,15 @@ def calibrate(
         gyro_noise=gyro_noise,
     )
     return replace(found_all, findings=(*recording.findings, *findings_of(facts)))
+
+
+@contextmanager
+def _in_log(recording: Recording) -> Iterator[None]:
+    """Name the log in an error about its data."""
+    try:
+        yield
+    except DataError as error:
+        raise DataError(f"{recording.source.path}: {error}", remedy=error.remedy) from error
 
 
 @frozen_alone
@@ -391,17 +398,8 @@ def _gyroscope(
     at_rest = fit.f @ frame.R.T
     reasons = unusable_turns(data, rests)
     which = _without(reasons)
-    trouble, start = "", None
     plain = _plain_turns(data, rests, fit.up, reasons)
-    try:
-        start = None if plain is None else start_of(plain)
-        trouble = "" if start is None else trouble_of(start)
-        start = None if trouble else start
-    except DataError as error:
-        trouble = str(error)
-    angles = np.full(which.size, np.nan)
-    if known is not None and plain is not None and start is not None:
-        angles, start = known_of(plain, start, known, said_si=si[0])
+    start, angles, trouble = _start(plain, known, said_si=si[0])
     earth = earth_rate(latitude)
     headings = None if plain is None or start is None else Headings.of(plain, start)
     covariance, walk = turning.covariance, turning.walk
@@ -422,8 +420,8 @@ def _gyroscope(
         f = at_other_times(found.data, (found.data.samples - fit.b) @ (frame.R @ fit.C).T, data)
         parts = f @ rest.G_apparent.T, at_rest @ rest.G_apparent.T
         arrays = prepare_turns(data, rests, fit.up, which, parts)
-        if known is not None:
-            arrays = replace(arrays, known=angles, known_deviation=known.deviation)
+        deviation = 0.0 if known is None else known.deviation
+        arrays = replace(arrays, known=angles, known_deviation=deviation)
         models = tuple(
             NoiseModel(terms=(*model.terms, TERMS["K"].of(excess.kappa)))
             for model, excess in zip(turning.base.models, rest.excess, strict=True)
@@ -445,6 +443,29 @@ def _gyroscope(
         said = as_accelerometer if turns is None else is_si(inverse(turns.C))
     every_turn = _turns(spans_s, fit.up, reasons, which, turns, known=angles)
     return _gyroscope_result(rest, turns, si=said), every_turn, trouble
+
+
+def _start(
+    plain: TurnData | None, known: KnownAngle | None, *, said_si: bool | None
+) -> tuple[FloatArray | None, FloatArray, str]:
+    """Return where the fit of the turns begins, their known angles, and why there is no such place.
+
+    The start has shape (3, 3); the angles, shape (t,), are NaN if unknown. `said_si` is whether the log is in
+    rad/s, None if nothing says so. A DataError is raised if no turn has the known angle.
+    """
+    if plain is None:
+        return None, np.zeros(0), ""
+    unknown = np.full(len(plain.rests), np.nan)
+    try:
+        start = start_of(plain)
+    except DataError as error:
+        return None, unknown, str(error)
+    if trouble := trouble_of(start):
+        return None, unknown, trouble
+    if known is None:
+        return start, unknown, ""
+    angles, start = known_of(plain, start, known, said_si=said_si)
+    return start, angles, ""
 
 
 def _gyroscope_result(rest: GyroRest, turns: TurnsFit | None, *, si: bool) -> GyroscopeResult:
