@@ -104,6 +104,6 @@ def _residual(found: Node, sensor: Sensor) -> Quantity | None:
     if sensor is Sensor.ACCELEROMETER:
         sizes = [one["residual"].number() for one in found["rests"] if one["used"].value]
     else:
-        pairs = [one["residual_deg"].pair() for one in found["turns"] if one["used"].value]
-        sizes = [math.radians(math.hypot(*pair)) for pair in pairs]
+        errors_deg = [one["residual_deg"].array() for one in found["turns"] if one["used"].value]
+        sizes = [math.radians(math.hypot(*each)) for each in errors_deg]
     return Quantity.exactly(math.hypot(*sizes) / math.sqrt(len(sizes))) if sizes else None

@@ -310,6 +310,12 @@ def test_turns_of_a_known_angle_show_the_scale_of_the_gyroscope(tmp_path: Path) 
         assert half[0]["high"] - half[0]["low"] < half[1]["high"] - half[1]["low"]
     table = run("calibrate", "table.csv", *PLACE, "--no-files", "--turns", "360°±0.1°", "-q", cwd=tmp_path)
     assert "Turns (3 by a known angle): " in table.stdout
+    kept = run("calibrate", "table.csv", *PLACE, "--turns", "360deg", "-q", cwd=tmp_path)
+    assert kept.returncode == 0
+    limits = '[calibration.gyroscope]\nresidual = { max = 5, unit = "deg" }\n'
+    (tmp_path / "limits.toml").write_text(limits, encoding="utf-8")
+    checked = run("check", "table-calibration", "--limits", "limits.toml", cwd=tmp_path)
+    assert checked.returncode == 0, checked.stderr
     wrong = run(*arguments, "--turns", "180deg", cwd=tmp_path)
     assert wrong.returncode == 4
     assert "no turn by 180° was found: the turns in place have 36" in wrong.stderr
