@@ -22,6 +22,7 @@ from imucal.fitting.robust import clean
 from imucal.fitting.spectral.blocks import no_noise
 from imucal.fitting.spectral.disturbances.not_noise import not_noise
 from imucal.frozen import frozen
+from imucal.grading import is_motion
 from imucal.planning import resolution_findings
 from imucal.prediction import self_check
 from imucal.processes import findings_or_why_not, side_by_side
@@ -150,13 +151,9 @@ def characterize(
 
 def _for_motion(settings: Settings, findings: Sequence[Finding]) -> Settings:
     """Return the settings for the fits; if the IMU moved, without the slow search for a model."""
-    if not _moved(findings):
+    if not any(is_motion(finding) for finding in findings):
         return settings
     return replace(settings, method="slope", model="auto", second_opinion=False)
-
-
-def _moved(findings: Sequence[Finding]) -> bool:
-    return any(finding.code in {"motion", "touch"} and finding.level == "error" for finding in findings)
 
 
 def _no_result(series: AxisSeries, error: DataError, findings: Sequence[Finding]) -> Finding:
@@ -187,7 +184,7 @@ def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
     depend on it.
     """
     findings = screen_values(recording, workers=workers)
-    if _moved(findings):
+    if any(is_motion(finding) for finding in findings):
         return findings
 
     def look(series: AxisSeries) -> tuple[Finding, ...]:
@@ -244,7 +241,7 @@ def _characterize_axis(
     if settings.method == "mle" and result.model.terms:
         opinions = _opinions(finite, result, at_samples, of_curve=settings.second_opinion)
     findings = [f for f in screened if f.axis == series.name]
-    if not _moved(screened):
+    if not any(is_motion(finding) for finding in screened):
         # If the IMU moved, only the findings of the screening are useful.
         found = (*_of_fit(result, finite, density), *opinions)
         findings += [replace(finding, axis=series.name) for finding in found]

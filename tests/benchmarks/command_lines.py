@@ -57,6 +57,53 @@ PATHS = (
     ),
     *("bytes.mcap", "-", "pipe.csv", "/dev/null", "no header.csv", "fleet", "columns.txt"),
 )
+#: Usual values of options; others get a random text.
+USUAL = {
+    "--rate": ("100", "200Hz", "50"),
+    "--gyro-unit": ("rad/s", "deg/s", "mdeg/s", "rad", "count"),
+    "--accel-unit": ("g", "m/s^2", "mg", "m/s", "count"),
+    "--gyro-scale": ("1e-3", "1.06e-3"),
+    "--accel-scale": ("1e-2", "5.98e-4"),
+    "--columns": ("t=0,g=1:4,a=4:7", "g=0:3,a=3:6", "gyro=1:4", "@columns.txt"),
+    "--topic": ("/imu", "/imu/data", "imu"),
+    "--time": ("log", "header", "stamps", "0"),
+    "--time-unit": ("s", "ms", "100ns"),
+    "--skip": ("0", "1s", "10s", "1h"),
+    "--take": ("5s", "10s", "1min"),
+    "--model": ("N", "N + B + K", "auto", "N + B"),
+    "--method": ("mle", "gmwm", "slope"),
+    "--level": ("0.9", "95%", "0.68"),
+    "--format": ("png", "svg", "pdf"),
+    "--to": ("kalibr", "openvins", "px4", "gm", "all", "python"),
+    "--out": ("out", "out.yaml", "-", "out/", "/dev/full", "rep"),
+    "--limits": ("limits.toml", "rep", "imu.yaml"),
+    "--config": ("imu.yaml", "cal"),
+    "--baseline": ("rep", "tactical.bag"),
+    "--noise": ("rep", "tactical.bag", "N=1e-4"),
+    "--latitude": ("47.4", "0", "-90"),
+    "--height": ("400",),
+    "--gravity": ("9.81", "9.8072"),
+    "--turns": ("360deg", "90deg+-1deg"),
+    "--rest-at-least": ("0.5s", "2s"),
+    "--frame": ("kalibr", "nearest"),
+    "--apply": ("fixed.csv", "fixed.mcap"),
+    "--gyro": ("N=1e-4", "N=1e-4 + B=1e-5"),
+    "--accel": ("N=2e-3", "N=2e-3 + K=1e-5"),
+    "--duration": ("10min", "1h"),
+    "--rests": ("6", "18", "all"),
+    "--rest": ("5s", "1s"),
+    "--taus": ("octave", "decade:20", "0.1,1,10"),
+    "--seed": ("1", "7"),
+    "--workers": ("1", "2"),
+    "--memory": ("1GB", "500MB"),
+    "--timeout": ("1min",),
+}  # fmt: skip
+LOGS = ("consumer_mems.mcap", "tactical.bag", "with_gaps.csv", "poses.mcap", "no header.csv", "folder")
+RESULTS = ("rep", "rep/report.json", "cal", "fleet", "tactical.bag", "N=1e-4", "imu.yaml")
+#: Commands that read results rather than logs.
+OF_RESULTS = {"export", "check", "compare", "drift", "plan"}
+#: Share of usual values and of usual paths.
+USUALLY = 0.75
 _SUGGESTION = re.compile(r"type:\s+(?P<line>.+)|`(?P<quoted>imucal [^`]+)`|'(?P<single>imucal [^']+)'")
 
 
@@ -127,13 +174,20 @@ def command_line(
 ) -> tuple[str, ...]:
     command = source.choice(list(known))
     flags, valued = known[command]
-    arguments = [source.choice(PATHS) for _ in range(source.choice((0, 1, 1, 1, 1, 1, 2, 3)))]
+    usual_paths = RESULTS if command[0] in OF_RESULTS else LOGS
+    arguments = [
+        source.choice(usual_paths if source.random() < USUALLY else PATHS)
+        for _ in range(source.choice((0, 1, 1, 1, 1, 1, 1, 1, 2, 3)))
+    ]
     for _ in range(source.choice((0, 0, 1, 1, 2, 3))):
         if flags and source.random() < 0.3:
             arguments.append(source.choice(flags))
         elif valued:
+            name = source.choice(valued)
             value = source.choice(source.choice((NUMBERS, TEXTS, PATHS)))
-            arguments += [source.choice(valued), value]
+            if name in USUAL and source.random() < USUALLY:
+                value = source.choice(USUAL[name])
+            arguments += [name, value]
     if source.random() < 0.03:
         source.shuffle(arguments)
     return (*command, *(each.replace("\0", "") for each in arguments))
