@@ -12,12 +12,12 @@ from imucal.cli.context import misuse
 from imucal.cli.options import (
     OUTPUT,
     Command,
-    datasheet,
     flag,
     fleet_model,
     model_options,
     option,
     quiet,
+    si_units,
     unwrapped,
 )
 from imucal.cli.param_types import Number
@@ -69,7 +69,7 @@ Exit codes: 0 no significant difference (or --no-fail), 1 a term differs,
 @flag("--no-fail", help="Exit with code 0 even if a term differs.")
 @fleet_model
 @flag("--json", "as_json", group=OUTPUT, help="Print the comparison as JSON (SI) on standard output.")
-@datasheet
+@si_units
 @quiet
 def command(
     *,
@@ -80,7 +80,7 @@ def command(
     tolerance: float,
     no_fail: bool,
     fleet_model: str | None,
-    datasheet: bool,
+    si: bool,
     as_json: bool,
 ) -> None:
     """Find the noise terms of two reports that differ significantly.
@@ -99,7 +99,7 @@ def command(
         print_json(to_document(result))
     else:
         # Not `echo`, which escapes colours; the table contains no file names.
-        click.echo(_table(result, datasheet=datasheet))
+        click.echo(_table(result, datasheet=not si))
     for name, path in (("A", result.a), ("B", result.b)):
         print_note(f"{name}: {path}")
     for note in result.notes:
