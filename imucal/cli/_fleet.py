@@ -187,4 +187,4 @@ def read_fleet(path: str | Path, model: str | None) -> "Fleet":
     try:
         return load_model(path, model)
     except ChoiceError as error:
-        raise ChoiceError(f"{error}; choose one with --fleet-model") from error
+        raise ChoiceError(f"{error}; choose one with --sensor") from error

@@ -67,7 +67,7 @@ Exit codes: 0 no significant difference (or --no-fail), 1 a term differs,
     help="Relative difference to ignore, such as 0.05.",
 )
 @flag("--no-fail", help="Exit with code 0 even if a term differs.")
-@fleet_model
+@fleet_model()
 @flag("--json", "as_json", group=OUTPUT, help="Print the comparison as JSON (SI) on standard output.")
 @si_units
 @quiet
@@ -112,7 +112,7 @@ def _both(a: str, b: str | None, models: dict[Sensor, str], fleet: str | None) -
     """Return two reports: from files, from models, or the median units of two fleets."""
     fleets = [path is not None and is_fleet(path) for path in (a, b)]
     if fleet is not None and not any(fleets):
-        misuse(f"{shown_address(a)} is not a fleet; omit --fleet-model")
+        misuse(f"{shown_address(a)} is not a fleet; omit --sensor")
     if b is None or models or is_model(a) or is_model(b):
         return _with_models(a, b, models)
     if not any(fleets):

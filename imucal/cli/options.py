@@ -31,6 +31,7 @@ OUTPUT = "Output"
 SAMPLES = "Part of the log"
 UNITS = "Units"
 MODEL = "Fit"
+NUMBERS = "Numbers"
 ADVANCED = "Advanced"
 MESSAGES = "Messages"
 
@@ -57,7 +58,7 @@ class Option(click.Option):
 class Command(click.Command):
     """A command whose ``--help`` lists its options in groups."""
 
-    groups: tuple[str, ...] = (OPTIONS, OUTPUT, SAMPLES, UNITS, MODEL, ADVANCED, MESSAGES)
+    groups: tuple[str, ...] = (OPTIONS, OUTPUT, SAMPLES, UNITS, NUMBERS, MODEL, ADVANCED, MESSAGES)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         records: dict[str, list[tuple[str, str]]] = {title: [] for title in self.groups}
@@ -117,6 +118,12 @@ def unwrapped(text: str) -> str:
     return "\n\n".join(f"\b\n{block}" for block in text.strip("\n").split("\n\n"))
 
 
+def fleet_model(*, group: str = OPTIONS) -> Decorator:
+    """Declare the option for one sensor model of a fleet."""
+    text = "Of a fleet with several sensor models: this one."
+    return option("--sensor", "fleet_model", group=group, metavar="NAME", help=text)
+
+
 quiet = context_flag("-q", "--quiet", group=MESSAGES, help="Print results only.")
 verbose = context_flag(
     "-v", "--verbose", group=MESSAGES, help="Print all warnings, and the reason of each choice."
@@ -151,7 +158,6 @@ level = option(
     show_default=True,
     help="Confidence level of the intervals.",
 )
-fleet_model = option("--fleet-model", metavar="NAME", help="Sensor model, if the fleet has several.")
 
 # Options for reading a log.
 topic = option(
