@@ -104,7 +104,7 @@ def command(
     input. Several LOGs are joined to one recording if each continues the one before (splits of a bag,
     rotated tables), or with --join.
 
-    The first line is the verdict: good, look first, or not noise (exit code 4). The table lists the noise
+    The first line is the verdict: good, check first, or not noise (exit code 4). The table lists the noise
     terms of each axis with their intervals. The report is a folder with report.html, report.json and
     pictures.
     """

@@ -44,7 +44,7 @@ FORMATS = ("png", "svg", "pdf")
 #: Inches.
 WIDTH = 10.0
 _PLOT_HEIGHT, _HEAD, _AXIS_ROOM, _ROW = 3.3, 0.72, 0.55, 0.2
-_GRADES = {"good": "#1d6b35", "look": "#8a5200", "not-noise": "#b00020"}
+_GRADES = {"good": "#1d6b35", "check": "#8a5200", "not-noise": "#b00020"}
 #: Fractions of the figure.
 _LEFT, _RIGHT = (0.085, 0.497), (0.674, 0.312)
 

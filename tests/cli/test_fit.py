@@ -28,7 +28,7 @@ def test_results_and_talk_go_to_different_streams(
     """Standard output contains only the table; paths and findings are on standard error."""
     done, _ = whole
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith(("Good for N; ", "Look first: "))
+    assert done.stdout.startswith(("Good for N; ", "Check first: "))
     assert done.stdout.splitlines()[1:3] == ["", "GYROSCOPE                                ACCELEROMETER"]
     assert "report.json" not in done.stdout
     assert "Wrote too_short-imucal: report.json, report.html, 8 pictures, 7 JSON files\n" in done.stderr

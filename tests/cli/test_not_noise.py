@@ -171,7 +171,7 @@ def test_a_wrong_unit_is_not_a_matter_of_stationarity(tmp_path: Path) -> None:
     done = run(*command, cwd=tmp_path)
     assert done.returncode == 0
     first = " ".join(done.stdout.splitlines()[:2])
-    assert first.startswith("Look first: a unit that looks wrong on gyro; 6 of 6 axes are stationary noise")
+    assert first.startswith("Check first: a unit that looks wrong on gyro; 6 of 6 axes are stationary noise")
     assert "Next: run again with --gyro-unit deg/s, because the unit looks wrong" in done.stderr
     assert "imucal export" not in done.stderr
     again = run(*command, "--gyro-unit", "deg/s", cwd=tmp_path)
@@ -210,7 +210,7 @@ def test_a_given_unit_that_contradicts_the_log_is_repeated(tmp_path: Path) -> No
     )
     done = run(*command, "--gyro-unit", "deg/s", cwd=tmp_path)
     assert done.returncode == 0
-    assert done.stdout.startswith("Look first: a unit other than the log's own on gyro")
+    assert done.stdout.startswith("Check first: a unit other than the log's own on gyro")
     said = " ".join(done.stderr.split())
     assert "Next: run again without --gyro-unit if the log's own unit is right; if not, imucal export" in said
     exported = run("export", "out", "--to", "vins", "-o", "x.yaml", cwd=tmp_path)

@@ -92,7 +92,7 @@ def test_logs_that_do_not_count_are_grouped(fleet: Fleet) -> None:
     ]
     assert ("unreadable", "the file is damaged: no footer after byte 12") in fleet.failures
     assert "u94" not in fleet.model().units
-    assert verdict(fleet)[0] == "look"
+    assert verdict(fleet)[0] == "check"
     assert "u07 (gyro_z N)" in verdict(fleet)[1]
     assert "5 of 101 logs do not count" in verdict(fleet)[1]
     kept = [log for log in fleet.logs if not log.left_out]
