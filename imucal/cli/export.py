@@ -300,8 +300,8 @@ def _remarks(report: Report, numbers: exports.Basis) -> Iterator[str]:
         yield from (f"warning: {text} All exported numbers of this sensor depend on it." for text in warned)
     if numbers == "covered":
         yield (
-            "The exported white noise and walk cover the fitted spectrum, so they are larger than N and "
-            "K; the files show by how much (--as-fitted writes N and K)"
+            "The exported white noise and walk are enough for the fitted spectrum, so they are larger "
+            "than N and K; the files show by how much (--as-fitted writes N and K)"
         )
     for symbol in ("N", "K") if numbers == "as-fitted" else ():
         if axes := [axis.name for axis in report.axes if axis.fit[symbol].value is None]:

@@ -279,7 +279,7 @@ Exit codes: 0 done, 2 usage, 3 the folder is not a fleet or can't be read,
     type=SHARE,
     default=0.95,
     show_default=True,
-    help="Share of all units that the tolerance bound covers.",
+    help="Share of all units that the tolerance bound contains.",
 )
 @option(
     "--confidence",

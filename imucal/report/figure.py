@@ -59,7 +59,7 @@ def axis_figure(report: Report, axis: AxisReport) -> "Figure":
     """Return the Allan deviation and psd of one axis with model and terms."""
     figure, left, right = _figure(report, rows=4)
     fit, units = axis.fit, units_of(report, axis.sensor)
-    recorded, structure = _recorded(axis), str(fit.model) or "no term shown"
+    recorded, structure = _recorded(axis), str(fit.model) or "no term detected"
     write_head(figure, axis_title(axis), f"{recorded}   ·   model {structure} ({fit.method.upper()})")
     entries = draw_allan(left, fit, units)
     names = {str(entry.get_label()) for entry in entries}

@@ -397,4 +397,4 @@ def _with_signals(report: Report, file: Path) -> Report:
 
 
 def _refuse_constant(name: str) -> NoReturn:
-    raise ValueError(f"it holds {name}")
+    raise ValueError(f"it contains {name}")

@@ -21,7 +21,7 @@ def test_a_file_is_written_under_its_own_name(still: str, tmp_path: Path) -> Non
     """Its path is on standard output, notes are on standard error."""
     done = run("export", still, "--to", "kalibr", cwd=tmp_path)
     assert (done.returncode, done.stdout) == (0, "kalibr_imu.yaml\n")
-    assert "cover the fitted spectrum, so they are larger than N and K" in done.stderr
+    assert "are enough for the fitted spectrum, so they are larger than N and K" in done.stderr
     assert yaml.safe_load((tmp_path / "kalibr_imu.yaml").read_text())["update_rate"] == 200.0
 
 

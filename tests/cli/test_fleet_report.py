@@ -128,7 +128,7 @@ def test_a_fleet_is_exported(folder: Path) -> None:
     bound = run("export", "fleet", "--to", "kalibr", "-o", "-", cwd=folder)
     median = run("export", "fleet", "--median", "--to", "kalibr", "-o", "-", cwd=folder)
     assert "every number is the 95/95 tolerance bound" in bound.stdout
-    assert "covers gyro_x, 95/95" in bound.stdout
+    assert "enough for gyro_x, 95/95" in bound.stdout
     assert "95/95 tolerance bound of 8 units" in bound.stdout
     assert "every number is the median unit" in median.stdout
 
