@@ -87,7 +87,7 @@ SLIPS: dict[str, tuple[Callable[[float], float], str, tuple[Sensor, ...]]] = {
     "zero": (lambda _: 0.0, "expected a positive number", BOTH),
     "negative": (lambda c: -c, "expected a positive number", BOTH),
     "tiny": (lambda _: 6.5e-15, "times too small, absurd: no sensor is this good", BOTH),
-    "third": (lambda c: c / 3, "3 times too small: below the values that cover", BOTH),
+    "third": (lambda c: c / 3, "3 times too small: below the values that are enough", BOTH),
 }
 
 
