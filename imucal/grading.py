@@ -10,13 +10,21 @@ from typing import Literal, TypeAlias
 from imucal.findings import Finding, Level, options_to_keep, phrase_of
 from imucal.frozen import frozen
 
-#: look: read the findings first; not-noise: the numbers are wrong.
-Grade: TypeAlias = Literal["good", "look", "not-noise"]
+#: check: read the findings first; not-noise: the numbers are wrong.
+Grade: TypeAlias = Literal["good", "check", "not-noise"]
+
+#: Grade -> its words in a printed verdict. A calibration is not usable if a log would be not noise.
+GRADE_TEXTS: Mapping[str, str] = {
+    "good": "good",
+    "check": "check first",
+    "not-noise": "not noise",
+    "not-usable": "not usable",
+}
 
 #: The most severe last.
-GRADES: tuple[Grade, ...] = ("good", "look", "not-noise")
+GRADES: tuple[Grade, ...] = ("good", "check", "not-noise")
 
-BY_LEVEL: Mapping[Level, Grade] = {"info": "good", "warning": "look", "error": "not-noise"}
+BY_LEVEL: Mapping[Level, Grade] = {"info": "good", "warning": "check", "error": "not-noise"}
 
 #: These findings do not affect the noise.
 OTHERWISE: Mapping[tuple[str, Level], Grade] = {
@@ -109,8 +117,8 @@ def judge_findings(
     if grade == "good":
         good = "Good for N; too short for B and K" if too_short else "Good"
         sentence = f"{good}: {noise or 'no problem found'}"
-    elif grade == "look":
-        sentence = f"Look first: {reasons}{f'; {noise}' if sound else ''}"
+    elif grade == "check":
+        sentence = f"Check first: {reasons}{f'; {noise}' if sound else ''}"
     else:
         rest = f"look at {_listed(left, axes)} first" if left else "do not use these numbers"
         sentence = f"Not noise: {reasons}; {noise if sound else rest}"

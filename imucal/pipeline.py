@@ -43,7 +43,7 @@ _MODULES = ("scipy.fft", "scipy.special", "imucal.fitting.moments")
 #: In the order of report.json; `reading` comes last.
 _DOCUMENTED = (
     *("model", "method", "level", "criterion", "weights", "taus", "edf"),
-    *("max_gm", "clean", "second_opinion", "segments", "bins"),
+    *("max_gm", "clean", "second_opinion", "segments"),
 )
 
 _MIN_TEMPERATURES = 16
@@ -55,14 +55,12 @@ Progress: TypeAlias = Callable[[int, int, str], None]
 class Settings(FitSettings):
     """Settings of `characterize`; see `imucal.fit` and `imucal.allan_curve`.
 
-    `reading` contains the options of reading the log as JSON values, for the report. With `bins`, report.json
-    contains the bins of each fit, which `imucal.pool` needs.
+    `reading` contains the options of reading the log as JSON values, for the report.
     """
 
     taus: str = "octave"
     edf: str = "hybrid"
     second_opinion: bool = False
-    bins: bool = False
     reading: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

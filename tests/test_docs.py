@@ -29,7 +29,7 @@ _LINK = re.compile(r"\]\(([^)\s]+)\)")
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("logs_are_done_here", "pictures_are_blank")
-@pytest.mark.parametrize("page", [page for page in PAGES if page.name != "options.md"], ids=lambda p: p.stem)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_the_code_of_a_page_runs_from_top_to_bottom(page: Path, tmp_path: Path) -> None:
     """Blocks run in order in one folder; each text block equals the output of the commands, to all digits."""
     fill_folder(tmp_path, page)

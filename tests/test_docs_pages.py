@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import allantools
+import click
 import numpy as np
 import numpy.testing as npt
 import pytest
 
-from imucal.cli import COMMANDS
-from tests.benchmarks import options_page, peers, tutorial_figures
+from imucal.cli import imucal
+from tests.benchmarks import peers, tutorial_figures
 from tests.code_blocks import code_blocks
 
 ROOT = Path(__file__).parents[1]
@@ -61,18 +62,24 @@ def test_a_message_that_is_never_printed_is_found() -> None:
     assert not contains("…: there is no such topic …", text)
 
 
-def test_the_page_of_options_equals_the_help_of_all_commands() -> None:
-    """Otherwise run `python -m tests.benchmarks.options_page`."""
-    page = options_page.PAGE.read_text(encoding="utf-8")
-    assert page == options_page.page()
-    assert page.count("\n## imucal") == len(COMMANDS) + 4
+def options_of(command: click.Command) -> Iterator[str]:
+    """Yield the names of all options of a command and of its subcommands."""
+    for parameter in command.get_params(click.Context(command)):
+        if isinstance(parameter, click.Option):
+            yield from (*parameter.opts, *parameter.secondary_opts)
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        for name in command.list_commands(context):
+            subcommand = command.get_command(context, name)
+            assert subcommand is not None
+            yield from options_of(subcommand)
 
 
 @pytest.mark.parametrize("page", [ROOT / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda page: page.stem)
 def test_options_in_the_pages_exist(page: Path) -> None:
     """Options of other programs are excluded."""
-    known = set(_OPTION.findall(options_page.PAGE.read_text(encoding="utf-8")))
-    assert set(_OPTION.findall(page.read_text(encoding="utf-8"))) <= known | _OTHERS
+    options = set(options_of(imucal))
+    assert set(_OPTION.findall(page.read_text(encoding="utf-8"))) <= options | _OTHERS
 
 
 def test_the_tutorial_contains_the_pictures_of_its_script() -> None:

@@ -30,8 +30,8 @@ def sentence(*findings: Finding, errors: dict[str, float] | None = None) -> str:
 
 @pytest.mark.parametrize("code", sorted(FINDING_CODES))
 def test_the_grade_follows_from_the_table_or_the_level(code: str) -> None:
-    """Info is good, warning is look, and error is not noise, except for the entries of the table."""
-    by_level: dict[Level, Grade] = {"info": "good", "warning": "look", "error": "not-noise"}
+    """Info is good, warning is check, and error is not noise, except for the entries of the table."""
+    by_level: dict[Level, Grade] = {"info": "good", "warning": "check", "error": "not-noise"}
     harmless = {(each, "warning") for each in ("unindexed", "index", "not-drawn")}
     for level in LEVELS:
         expected = "good" if (code, level) in harmless else by_level[level]
@@ -82,23 +82,23 @@ def test_a_warning_contains_its_axes() -> None:
     errors = dict.fromkeys(AXES, 0.002) | {"gyro_x": 0.5}
     found = [finding("tone", axis="gyro_x"), finding("warm-up", axis="accel")]
     assert sentence(*found, errors=errors) == (
-        "Look first: a tone on gyro_x, a warm-up on accel; 2 of 6 axes are stationary noise, N to ±0.2 %"
+        "Check first: a tone on gyro_x, a warm-up on accel; 2 of 6 axes are stationary noise, N to ±0.2 %"
     )
     found = [finding("spikes", axis=axis) for axis in ("gyro_x", "gyro_y", "gyro_z", "accel_y")]
-    assert sentence(*found).startswith("Look first: spikes on gyro and accel_y; 2 of 6")
+    assert sentence(*found).startswith("Check first: spikes on gyro and accel_y; 2 of 6")
 
 
 def test_a_warning_about_the_log_does_not_exclude_axes() -> None:
     """Missing samples do not affect the noise, but a touch affects all axes."""
-    assert sentence(finding("gaps")) == "Look first: missing samples; 6 of 6 axes are stationary noise"
-    assert sentence(finding("touch")) == "Look first: something touched or shook the IMU"
+    assert sentence(finding("gaps")) == "Check first: missing samples; 6 of 6 axes are stationary noise"
+    assert sentence(finding("touch")) == "Check first: something touched or shook the IMU"
 
 
 def test_many_reasons_are_counted() -> None:
     """Three reasons are listed."""
     found = [finding(code) for code in ("gaps", "damaged", "truncated", "clock-jump", "bad-rows")]
     assert sentence(*found).startswith(
-        "Look first: missing samples, damage to the log, a log that was cut off and 2 more; "
+        "Check first: missing samples, damage to the log, a log that was cut off and 2 more; "
     )
 
 
@@ -120,7 +120,7 @@ def test_a_dead_axis_does_not_exclude_the_others() -> None:
     found += [finding("tone", axis="accel_x"), finding("spikes", axis="accel_y")]
     assert sentence(*found) == "Not noise: no data on accel_z; look at gyro, accel_x and accel_y first"
     assert sentence(finding("unit-suspect", axis="gyro")) == (
-        "Look first: a unit that looks wrong on gyro; 6 of 6 axes are stationary noise"
+        "Check first: a unit that looks wrong on gyro; 6 of 6 axes are stationary noise"
     )
     dead = [finding("stuck", "error", axis) for axis in AXES]
     assert sentence(*dead) == "Not noise: a stuck value on gyro and accel; do not use these numbers"
@@ -128,7 +128,7 @@ def test_a_dead_axis_does_not_exclude_the_others() -> None:
 
 def test_a_sensor_without_axes_is_reported() -> None:
     verdict = judge_findings([finding("no-data", axis="accel")], AXES[:3])
-    assert verdict.sentence == "Look first: no data on accel; 3 of 3 axes are stationary noise"
+    assert verdict.sentence == "Check first: no data on accel; 3 of 3 axes are stationary noise"
 
 
 @pytest.mark.parametrize(("fraction", "text"), [(0.00432, "0.43 %"), (0.2, "20 %"), (1.234, "120 %")])

@@ -170,14 +170,14 @@ def test_a_log_without_a_rest_is_rejected() -> None:
 def test_a_moved_log_prints_advice_instead_of_numbers(tmp_path: Path) -> None:
     """The exit code is 4, and the advised --rests works."""
     write(drive((40.0, 32.0), seed=5, moving_s=5.0)[0], tmp_path / "drive.csv")
-    command = ("fit", "drive.csv", "--model", "N", "--segments", "1")
+    command = ("fit", "drive.csv", "--model", "N")
     done = run(*command, "--no-report", cwd=tmp_path)
     assert done.returncode == 4
     assert done.stdout == "Not noise: the IMU was moved; do not use these numbers\n"
     assert "[motion]" in done.stderr
     assert "[model-misfit]" not in done.stderr
     assert "moved; do not use these numbers; nothing was written; fit the rests with --rests" in done.stderr
-    with_rests = run(*command, "--rests", "-o", "out", "--no-html", "--format", "svg", cwd=tmp_path)
+    with_rests = run(*command, "--rests", "-o", "out", "--format", "svg", cwd=tmp_path)
     assert with_rests.returncode == 0
     assert "N  angle random walk" in with_rests.stdout
     assert "The fit uses 2 rests, " in " ".join(with_rests.stderr.split())

@@ -16,7 +16,7 @@ from imucal.report.page_parts import listed_findings
 __all__ = ["render_page"]
 
 #: Verdict -> the style of its line.
-_GRADES = {"good": "good", "look first": "look", "not usable": "not-noise"}
+_STYLES = {"good": "good", "check": "check", "not-usable": "not-noise"}
 _DESCRIPTIONS = {
     "rests": "Length of the specific force at each rest minus gravity, before and after the calibration.",
     "attitudes": "Direction of gravity at each rest, and the rest that would help most.",
@@ -38,7 +38,7 @@ def render_page(found: Calibration, pictures: Mapping[str, bytes]) -> str:
             package="imucal.calibration",
             title=f"{found.source.name} – IMU calibration",
             heading=f"Calibration of {found.source.name}",
-            grade=_GRADES[found.verdict],
+            grade=_STYLES[found.verdict],
             sentence=_sentence(found),
             lead=headline(found).partition(": ")[2],
             blocks=rows(found),
@@ -57,4 +57,4 @@ def _sentence(found: Calibration) -> Markup:
     codes = dict.fromkeys(each.code for each in found.findings if each.level != "info")
     phrases = list(map(phrase_of, codes))
     reasons = f": {', '.join(phrases)}" if phrases else ""
-    return Markup("{}{}").format(found.verdict.capitalize(), reasons)
+    return Markup("{}{}").format(found.verdict_text.capitalize(), reasons)

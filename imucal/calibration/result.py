@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import ClassVar, Literal, TypeAlias
 
 import numpy as np
 
@@ -19,9 +19,13 @@ from imucal.display import Displayed
 from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.frozen import frozen, frozen_alone
+from imucal.grading import GRADE_TEXTS
 from imucal.recording import AXES, AxisSeries, Recording, Sensor, Source
 
 __all__ = ["AccelerometerResult", "Calibration", "GyroscopeResult", "Rest", "at_other_times"]
+
+#: check: read the findings first; not-usable: the result is wrong.
+CalibrationGrade: TypeAlias = Literal["good", "check", "not-usable"]
 
 
 @frozen
@@ -146,10 +150,17 @@ class Calibration(Displayed):
         return self.gyroscope
 
     @property
-    def verdict(self) -> str:
-        """`good`, `look first` (a warning) or `not usable` (an error)."""
+    def verdict(self) -> CalibrationGrade:
+        """`good`, `check` (a warning: read the findings first) or `not-usable` (an error)."""
         levels = {finding.level for finding in self.findings}
-        return "not usable" if "error" in levels else "look first" if "warning" in levels else "good"
+        if "error" in levels:
+            return "not-usable"
+        return "check" if "warning" in levels else "good"
+
+    @property
+    def verdict_text(self) -> str:
+        """The verdict as printed: good, check first or not usable."""
+        return GRADE_TEXTS[self.verdict]
 
     def apply(self, recording: Recording) -> Recording:
         """Return the recording in m/s² and rad/s without bias, scale error, misalignment and g-sensitivity.

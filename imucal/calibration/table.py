@@ -119,7 +119,7 @@ def table(found: Calibration, columns: int = _WIDE) -> str:
 
 def text_of(found: Calibration) -> str:
     """Return the result in at most twelve lines."""
-    lines = [f"Calibration of {headline(found)}: {found.verdict}"]
+    lines = [f"Calibration of {headline(found)}: {found.verdict_text}"]
     for name, own in rows(found):
         for kind in ("scale", "misalignment", "bias", "g-sensitivity"):
             of_kind = [row for row in own if row.name.startswith(kind)]

@@ -10,7 +10,7 @@ from imucal.checking.limits import CALIBRATION_UNITS, Limit, Limits
 from imucal.checking.verdict import CheckResult, Row, are_of_noise, finding_rows, judge
 from imucal.errors import LimitsError
 from imucal.findings import Finding
-from imucal.grading import BY_LEVEL, GRADES, Grade, NoiseVerdict
+from imucal.grading import BY_LEVEL, GRADE_TEXTS, GRADES, Grade, NoiseVerdict
 from imucal.recording import Sensor
 from imucal.report.json_node import Node
 from imucal.report.numbers import Quantity
@@ -33,6 +33,7 @@ def check_calibration(found: Node, limits: Limits) -> CheckResult:
     findings = [_finding(node) for node in found["findings"]]
     codes = ", ".join(dict.fromkeys(finding.code for finding in findings)) or "no findings"
     grade: Grade = max((BY_LEVEL[finding.level] for finding in findings), key=GRADES.index, default="good")
+    printed = GRADE_TEXTS[found["verdict"].text("good", "check", "not-usable")]
     rows = [
         *chain.from_iterable(_calibrated(found, limit) for limit in limits.calibration),
         *finding_rows(findings, limits.findings),
@@ -43,7 +44,7 @@ def check_calibration(found: Node, limits: Limits) -> CheckResult:
         rows=tuple(rows),
         undecided_fails=limits.undecided == "fail",
         version=__version__,
-        noise=NoiseVerdict(grade=grade, sentence=f"{found['verdict'].text()} ({codes})", axes=()),
+        noise=NoiseVerdict(grade=grade, sentence=f"{printed} ({codes})", axes=()),
     )
 
 

@@ -322,7 +322,7 @@ class _Wanted:
             message = "unless a term is below its upper bound; record for longer"
             return "undecided", f"{times}, {message}"
         own = self.fitted.get(symbol, 0.0)
-        below = "below the values that cover the fitted spectrum"
+        below = "below the values that are enough for the fitted spectrum"
         if own and 1 / _NEAR_ON_PURPOSE < c / own < _NEAR_ON_PURPOSE:
             return "fail", f"{times}: {symbol} of the fit alone is {below}"
         if over < _ABSURD:

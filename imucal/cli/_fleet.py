@@ -12,6 +12,7 @@ from imucal.cli._printing import echo, print_findings, print_note, wrapped
 from imucal.cli.param_types import Text
 from imucal.clock import seconds_of
 from imucal.errors import ChoiceError
+from imucal.grading import GRADE_TEXTS, GRADES
 from imucal.remote import is_url
 from imucal.units import data_size, duration
 
@@ -118,8 +119,7 @@ def print_standing(logs: "pl.DataFrame", folder: Path) -> None:
     """Print the number of logs per result, and their size and time."""
     from imucal.fleet.store import STATUSES
 
-    grades = {"good": "good", "look": "to look at", "not-noise": "not noise"}
-    counts = [f"{count(logs, 'ok', grade)} {text}" for grade, text in grades.items()]
+    counts = [f"{count(logs, 'ok', grade)} {GRADE_TEXTS[grade]}" for grade in GRADES]
     counts += [f"{n} {status}" for status in STATUSES if status != "ok" and (n := count(logs, status))]
     echo(f"{folder}: {number_of(logs.height, 'log')} done: {', '.join(counts)}")
     cpu, size = float(logs["cpu_s"].sum() or 0.0), int(logs["bytes"].sum() or 0)
@@ -187,4 +187,4 @@ def read_fleet(path: str | Path, model: str | None) -> "Fleet":
     try:
         return load_model(path, model)
     except ChoiceError as error:
-        raise ChoiceError(f"{error}; choose one with --fleet-model") from error
+        raise ChoiceError(f"{error}; choose one with --sensor") from error

@@ -153,7 +153,7 @@ def command(
     else:
         _print_table(found)
     print_findings(found.findings)
-    if found.verdict != "not usable" or is_set("force"):
+    if found.verdict != "not-usable" or is_set("force"):
         if not no_files:
             _write_folder(found, folder, report, html=not no_html, opened=opened)
         if apply_to:
@@ -232,7 +232,7 @@ def _write_corrected(corrected: "Recording", path: Path) -> None:
 def _end(verdict: str, where: str, codes: list[str]) -> None:
     """End with exit code 4 if the result is not usable, or if --strict forbids a warning."""
     listed = ", ".join(dict.fromkeys(codes))
-    if verdict == "not usable" and not is_set("force"):
+    if verdict == "not-usable" and not is_set("force"):
         advice = "try --no-gyro for the accelerometer alone, or --force"
         error = DataError(f"{where}: {listed} found; nothing was written; {advice}")
     elif codes and is_set("strict"):

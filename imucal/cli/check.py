@@ -64,7 +64,7 @@ file, 3 the report or log can't be read, 4 the data can't be analysed.
 )
 @option("--fleet", metavar="FLEET", type=PATH, help="Compare with the units in the folder of a fleet.")
 @option("--config", metavar="FILE", type=FILE, help="Check the noise parameters in a filter's config file.")
-@fleet_model
+@fleet_model()
 @option(
     "--undecided",
     type=click.Choice(["pass", "fail"]),
@@ -191,7 +191,7 @@ def _limits(
     from imucal.checking import read_limits
 
     if fleet is None and model is not None:
-        misuse("--fleet-model needs a fleet; give --fleet FLEET too")
+        misuse("--sensor needs a fleet; give --fleet FLEET too")
     if fleet is not None and not is_fleet(fleet):
         expected = "expected the folder of a fleet that imucal fleet run writes"
         raise ReadError(f"{fleet}: found no manifest.parquet, {expected}")

@@ -12,12 +12,12 @@ from imucal.cli.context import misuse
 from imucal.cli.options import (
     OUTPUT,
     Command,
-    datasheet,
     flag,
     fleet_model,
     model_options,
     option,
     quiet,
+    si_units,
     unwrapped,
 )
 from imucal.cli.param_types import Number
@@ -67,9 +67,9 @@ Exit codes: 0 no significant difference (or --no-fail), 1 a term differs,
     help="Relative difference to ignore, such as 0.05.",
 )
 @flag("--no-fail", help="Exit with code 0 even if a term differs.")
-@fleet_model
+@fleet_model()
 @flag("--json", "as_json", group=OUTPUT, help="Print the comparison as JSON (SI) on standard output.")
-@datasheet
+@si_units
 @quiet
 def command(
     *,
@@ -80,7 +80,7 @@ def command(
     tolerance: float,
     no_fail: bool,
     fleet_model: str | None,
-    datasheet: bool,
+    si: bool,
     as_json: bool,
 ) -> None:
     """Find the noise terms of two reports that differ significantly.
@@ -99,7 +99,7 @@ def command(
         print_json(to_document(result))
     else:
         # Not `echo`, which escapes colours; the table contains no file names.
-        click.echo(_table(result, datasheet=datasheet))
+        click.echo(_table(result, datasheet=not si))
     for name, path in (("A", result.a), ("B", result.b)):
         print_note(f"{name}: {path}")
     for note in result.notes:
@@ -112,7 +112,7 @@ def _both(a: str, b: str | None, models: dict[Sensor, str], fleet: str | None) -
     """Return two reports: from files, from models, or the median units of two fleets."""
     fleets = [path is not None and is_fleet(path) for path in (a, b)]
     if fleet is not None and not any(fleets):
-        misuse(f"{shown_address(a)} is not a fleet; omit --fleet-model")
+        misuse(f"{shown_address(a)} is not a fleet; omit --sensor")
     if b is None or models or is_model(a) or is_model(b):
         return _with_models(a, b, models)
     if not any(fleets):

@@ -12,13 +12,13 @@ from imucal.cli.context import misuse
 from imucal.cli.fit import report_folder
 from imucal.cli.log_request import LogRequest
 from imucal.cli.options import (
+    MODEL,
     OUTPUT,
     Command,
     flag,
     force,
     log_options,
     model,
-    no_clean,
     option,
     pictures,
     unwrapped,
@@ -78,7 +78,7 @@ written, 130 interrupted.
 @flag("--npz", group=OUTPUT, help="Also write NAME.npz, with a value for every sample.")
 @log_options
 @model
-@no_clean
+@flag("--no-clean", group=MODEL, help="Keep spikes instead of leaving them out.")
 def command(
     *,
     request: LogRequest,

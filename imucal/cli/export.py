@@ -3,9 +3,9 @@
 import math
 import os
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
 import click
 from click.shell_completion import CompletionItem
@@ -19,10 +19,21 @@ from imucal.cli._printing import echo, print_note, refuse
 from imucal.cli._report_input import load_report
 from imucal.cli.context import is_set, misuse
 from imucal.cli.log_request import LogRequest
-from imucal.cli.options import OUTPUT, ReportCommand, fleet_model, force, option, report_options, unwrapped
+from imucal.cli.options import (
+    NUMBERS,
+    OUTPUT,
+    ReportCommand,
+    flag,
+    fleet_model,
+    force,
+    option,
+    report_options,
+    unwrapped,
+)
 from imucal.cli.param_types import DURATION, Text
 from imucal.errors import DataError
 from imucal.grading import remedy
+from imucal.prediction.filter_numbers import STEP_S
 from imucal.recording import Sensor
 from imucal.remote.addresses import shown as shown_address
 from imucal.report import exports
@@ -30,9 +41,6 @@ from imucal.report.exports.config_numbers import INFLATABLE, vague_axes
 from imucal.report.exports.target import name_key
 from imucal.report.json_file import load
 from imucal.report.result import Report
-
-if TYPE_CHECKING:
-    from imucal.fleet_report.as_report import FleetValue
 
 _FOLDER = Path("imucal-exports")
 
@@ -70,30 +78,42 @@ def _factors(text: str) -> dict[str, float]:
     return factors
 
 
-_OF_CALIBRATION = "\n  ".join(textwrap.wrap(", ".join(CALIBRATION_TARGETS), 76))
-_LISTED = "\n".join(f"  {name:<10} {title}" for name, title in _TITLES.items())
+#: Width of a family's title in the list of formats.
+_TITLE_WIDTH = 14
+#: Width of a line of the list of formats.
+_LIST_WIDTH = 76
 
 
+def _format_line(title: str, names: Iterable[str]) -> str:
+    """Return the names of a family's formats in a column next to its title."""
+    return textwrap.fill(
+        ", ".join(names),
+        _LIST_WIDTH,
+        initial_indent=f"  {title:<{_TITLE_WIDTH}}",
+        subsequent_indent=" " * (2 + _TITLE_WIDTH),
+        break_on_hyphens=False,
+    )
+
+
+_LISTED = "\n".join(
+    _format_line(title, (target.name for target in family)) for title, family in exports.FAMILIES.items()
+)
 _FORMATS = unwrapped(f"""
 Formats:
 {_LISTED}
-  all        all formats, into a folder
-Formats of a calibration, with noise numbers if it was made with --noise:
-  {_OF_CALIBRATION}
+{_format_line("Calibration", CALIBRATION_TARGETS)}
 """)
 _EPILOG = unwrapped("""
 Examples:
   imucal export still-imucal --to kalibr -o imu.yaml
-  imucal export still-imucal/report.json --to all -o configs
-  imucal export still.mcap --to vins --axis-policy rms -o -
+  imucal export still-imucal --to all -o configs
   imucal export still-imucal --to openvins --inflate white=5,walk=10
-  imucal export still-imucal --to px4 --horizon 10min --step 0.2s
-  imucal export fleet --value tolerance --to kalibr
+  imucal export still-imucal --to px4 --coast 10min
+  imucal export fleet --to kalibr
   imucal export poses-calibration --to openvins -o imu.yaml
 
-Exit codes: 0 done, 2 usage, 3 the report or log can't be read, 4 the data
-are not noise at rest or a number that the format needs is missing, 5 the
-file can't be written.
+Exit codes: 0 done, 2 usage, 3 report not readable, 4 not noise at rest or a
+number is missing, 5 file not writable.
 """)
 
 
@@ -106,61 +126,8 @@ file can't be written.
     shell_complete=_complete_target,
     multiple=True,
     required=True,
-    help="Write this format (see below), or all; may be repeated.",
+    help="Format (see below), or all; may be repeated.",
 )
-@option(
-    "--axis-policy",
-    type=click.Choice(get_args(exports.AxisPolicy)),
-    default="worst",
-    show_default=True,
-    help="For formats with one number per sensor, write the largest of the axes, their root mean square, or "
-    "one axis.",
-)
-@option(
-    "--inflate",
-    metavar="FACTORS",
-    type=Text("inflation", _factors),
-    default={},
-    help="Multiply white (N), walk (K) or flicker (B, GM), such as white=2,walk=10.",
-)
-@option(
-    "--unidentified",
-    type=click.Choice(get_args(exports.Unidentified)),
-    default="bound",
-    show_default=True,
-    help="Write the upper bound of a term that the data do not show, or refuse.",
-)
-@option(
-    "--numbers",
-    type=click.Choice(get_args(exports.Basis)),
-    default="covered",
-    show_default=True,
-    help="For formats with white noise and a walk, write the smallest values that cover the fitted spectrum, "
-    "or N and K of the fit.",
-)
-@option(
-    "--horizon",
-    "horizon_s",
-    metavar="TIME",
-    type=DURATION,
-    help="Longest time without aiding. [default: 60s with cameras and lidars, otherwise 300s]",
-)
-@option(
-    "--step",
-    "step_s",
-    metavar="TIME",
-    type=DURATION,
-    default="1s",
-    show_default=True,
-    help="Time between aiding updates of the filter.",
-)
-@option(
-    "--value",
-    type=click.Choice(["tolerance", "median"]),
-    help="Write a fleet's tolerance bound, which suits every unit, or the median unit. [default: tolerance]",
-)
-@fleet_model
-@option("--rostopic", metavar="NAME", help="IMU topic to write into the files. [default: the log's topic]")
 @force
 @option(
     "-o",
@@ -168,47 +135,77 @@ file can't be written.
     group=OUTPUT,
     metavar="PATH",
     type=click.Path(allow_dash=True),
-    help="Write to this file or folder (a name that ends with / is a folder), or - for standard output. "
-    f"[default: the format's file name; for several formats the folder {_FOLDER}]",
+    help="File or folder (a name that ends with / is a folder), or - for standard output. "
+    f"[default: the format's usual name; for several formats the folder {_FOLDER}]",
 )
+@option("--rostopic", group=OUTPUT, metavar="NAME", help="IMU topic in the file. [default: the log's]")
+@option(
+    "--axis",
+    "axis_policy",
+    group=NUMBERS,
+    metavar="NAME",
+    type=click.Choice(get_args(exports.AxisPolicy)),
+    default="worst",
+    show_default=True,
+    help="One number for three axes: worst, rms, x, y or z.",
+)
+@flag(
+    "--as-fitted",
+    group=NUMBERS,
+    help="Write N and K of the fit. By default they are larger, so that a filter that knows only these two "
+    "is not overconfident.",
+)
+@option(
+    "--coast",
+    "coast_s",
+    group=NUMBERS,
+    metavar="TIME",
+    type=DURATION,
+    help="Longest time without camera, lidar or GNSS. [default: by format, 1 or 5 min]",
+)
+@option(
+    "--inflate",
+    group=NUMBERS,
+    metavar="FACTORS",
+    type=Text("inflation", _factors),
+    default={},
+    help="Multiply white (N), walk (K) or flicker (B, GM), such as white=2,walk=10.",
+)
+@flag("--median", group=NUMBERS, help="Of a fleet: the median unit instead of the bound for every unit.")
+@fleet_model(group=NUMBERS)
 @report_options
 def command(
     *,
     targets: tuple[str, ...],
     out: str | None,
     axis_policy: exports.AxisPolicy,
+    as_fitted: bool,
+    coast_s: float | None,
     inflate: dict[str, float],
-    unidentified: exports.Unidentified,
-    numbers: exports.Basis,
-    horizon_s: float | None,
-    step_s: float,
-    value: "FleetValue | None",
+    median: bool,
     fleet_model: str | None,
     rostopic: str | None,
     request: LogRequest,
 ) -> None:
-    """Write the config files that filters and simulators read.
+    """Write the config file of a filter or simulator.
 
-    REPORT is a report.json, its folder, a log (which is characterised first), or the folder of a
-    fleet or a calibration. Comments in each file show which numbers are continuous or discrete, their
-    formula, and the axis.
+    REPORT is the folder of 'imucal fit', 'imucal calibrate' or 'imucal fleet', a report.json, or a log,
+    which is fitted first. Comments in the file name each number's formula, unit, axis and interval.
     """
-    if horizon_s is not None and horizon_s <= step_s:
-        misuse(f"{horizon_s:g} s is not longer than the --step of {step_s:g} s", "--horizon")
+    if coast_s is not None and coast_s <= STEP_S:
+        misuse(f"{coast_s:g} s is not longer than {STEP_S:g} s, the time between two updates", "--coast")
     chosen = exports.ExportOptions(
         axis_policy=axis_policy,
         inflate=inflate,
-        unidentified=unidentified,
-        numbers=numbers,
-        horizon_s=horizon_s,
-        step_s=step_s,
+        numbers="as-fitted" if as_fitted else "covered",
+        horizon_s=coast_s,
         topic=rostopic,
     )
     if is_calibration(path := Path(request.logs[0])):
         _export_calibration(path, targets, out, chosen)
         return
     _require_noise_targets(targets, shown_address(request.logs[0]))
-    report = _report(request, value, fleet_model)
+    report = _report(request, fleet_model, median=median)
     refuse(report.verdict, request.logs[0], "nothing was exported", remedy=remedy(report.all_findings))
     if (axes := vague_axes(report)) and not is_set("force"):
         msg = (
@@ -272,7 +269,7 @@ def _require_noise_targets(names: tuple[str, ...], source: str) -> None:
             )
 
 
-def _report(request: LogRequest, value: "FleetValue | None", model: str | None) -> Report:
+def _report(request: LogRequest, model: str | None, *, median: bool) -> Report:
     """Return the report of a log, or the results of a fleet's sensor model in the same form."""
     folder = request.logs[0]
     if is_fleet(folder):
@@ -280,9 +277,9 @@ def _report(request: LogRequest, value: "FleetValue | None", model: str | None) 
             misuse(f"{folder} is a fleet; give it alone, without options for a log")
         from imucal.fleet_report.as_report import fleet_as_report
 
-        return fleet_as_report(read_fleet(folder, model), value=value or "tolerance")
-    if value or model is not None:
-        misuse(f"{shown_address(folder)} is not a fleet; omit --{'value' if value else 'fleet-model'}")
+        return fleet_as_report(read_fleet(folder, model), value="median" if median else "tolerance")
+    if median or model is not None:
+        misuse(f"{shown_address(folder)} is not a fleet; omit {'--median' if median else '--sensor'}")
     return load_report(request)
 
 
@@ -303,14 +300,14 @@ def _remarks(report: Report, numbers: exports.Basis) -> Iterator[str]:
         yield from (f"warning: {text} All exported numbers of this sensor depend on it." for text in warned)
     if numbers == "covered":
         yield (
-            "The exported white noise and walk cover the fitted spectrum, so they are larger than N and "
-            "K; the files show by how much (--numbers as-fitted writes N and K)"
+            "The exported white noise and walk are enough for the fitted spectrum, so they are larger "
+            "than N and K; the files show by how much (--as-fitted writes N and K)"
         )
     for symbol in ("N", "K") if numbers == "as-fitted" else ():
         if axes := [axis.name for axis in report.axes if axis.fit[symbol].value is None]:
             yield (
                 f"{symbol} was not detected on {', '.join(axes)}; files that need it contain its upper "
-                "bound, with a comment (--unidentified refuse writes none)"
+                "bound, with a comment"
             )
     for sensor in Sensor:
         if sensor not in report.by_sensor:

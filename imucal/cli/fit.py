@@ -10,25 +10,22 @@ from imucal.cli._printing import as_typed, echo, name_of_log, print_findings, pr
 from imucal.cli.context import is_set, misuse
 from imucal.cli.log_request import LogRequest
 from imucal.cli.options import (
-    ADVANCED,
     MODEL,
     OUTPUT,
     SAMPLES,
     Command,
-    datasheet,
     flag,
     force,
     level,
     log_options,
     model,
-    no_clean,
     option,
     pictures,
+    si_units,
     unwrapped,
 )
-from imucal.cli.param_types import PATH, TAU_SET
-from imucal.fitting import CRITERIA, METHODS, WEIGHTS
-from imucal.fitting.settings import MAX_SEGMENTS
+from imucal.cli.param_types import PATH
+from imucal.fitting import METHODS
 from imucal.grading import remedy, unit_option
 from imucal.printable import printable_json
 
@@ -40,25 +37,17 @@ if TYPE_CHECKING:
 _EPILOG = unwrapped("""
 Examples:
   imucal fit log.mcap
-  imucal fit s3://bucket/log.mcap
-  imucal fit log.bag --topic /imu/data_raw --skip 10min -o report
+  imucal fit s3://bucket/log.mcap --skip 10min
   imucal fit log.csv --gyro-unit deg/s --accel-unit g --model "N + B + K"
   imucal fit drive.mcap --rests
-  imucal fit log.mcap --json --no-report -q | jq '.axes[].fit.terms.N'
+  imucal fit log.mcap --json --no-report -q | jq .summary
 
-Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
-analysed or are not noise at rest (with --strict: or a warning was found),
-5 the report can't be written, 130 interrupted.
+Exit codes: 0 done, 2 usage, 3 log not readable, 4 not noise at rest or no
+result (with --strict: or a warning), 5 report not writable, 130 interrupted.
 """)
 
 
 @click.command(cls=Command, epilog=_EPILOG)
-@option(
-    "--jobs",
-    metavar="N",
-    type=click.IntRange(1),
-    help="Number of axes to fit in parallel. [default: number of processors]",
-)
 @force
 @option(
     "-o",
@@ -66,81 +55,33 @@ analysed or are not noise at rest (with --strict: or a warning was found),
     group=OUTPUT,
     metavar="DIR",
     type=PATH,
-    help="Write the report to DIR. [default: NAME-imucal]",
+    help="Folder of the report. [default: NAME-imucal]",
 )
-@flag("--json", "as_json", group=OUTPUT, help="Print report.json on standard output.")
 @flag("--open", "opened", group=OUTPUT, help="Open the page in the browser.")
+@flag("--json", "as_json", group=OUTPUT, help="Print report.json on standard output.")
+@flag("--no-report", group=OUTPUT, help="Write no files.")
 @pictures
-@option(
-    "--figure",
-    group=OUTPUT,
-    type=click.Choice(["report", "paper"]),
-    default="report",
-    show_default=True,
-    help="paper: also draw curves for one column of a paper (NAME-paper.pdf; SVG with --format svg).",
-)
-@flag("--no-html", group=OUTPUT, help="Do not write the HTML page.")
-@flag("--no-report", group=OUTPUT, help="Do not write any files.")
-@datasheet
+@si_units
 @log_options
-@flag("--rests", group=SAMPLES, help="Fit all rests of a drive together.")
+@flag("--rests", group=SAMPLES, help="Use only the times at rest of a drive.")
 @model
-@level
 @option(
     "--method",
     group=MODEL,
+    metavar="NAME",
     type=click.Choice(METHODS),
     default="mle",
     show_default=True,
-    help="Estimator: likelihood, wavelet moments or slopes.",
+    help="mle (likelihood), gmwm (wavelet moments) or slope.",
 )
+@level
 @option(
-    "--taus",
-    group=ADVANCED,
-    metavar="SET",
-    type=TAU_SET,
-    default="octave",
-    show_default=True,
-    help="Averaging times: octave, decade, decade:20 or all.",
-)
-@option(
-    "--edf",
-    group=ADVANCED,
-    type=click.Choice(["hybrid", "model", "greenhall"]),
-    default="hybrid",
-    show_default=True,
-    help="Method for the degrees of freedom of the intervals.",
-)
-@no_clean
-@option(
-    "--criterion",
-    "--ic",
-    "criterion",
-    group=ADVANCED,
-    type=click.Choice(CRITERIA),
-    default="chance",
-    show_default=True,
-    help="Criterion for choosing the model.",
-)
-@option(
-    "--weights",
-    group=ADVANCED,
-    type=click.Choice(WEIGHTS),
-    default="full",
-    show_default=True,
-    help="Weights of the gmwm fit.",
-)
-@option(
-    "--segments",
-    group=ADVANCED,
+    "--jobs",
+    group=MODEL,
     metavar="N",
-    type=click.IntRange(1, MAX_SEGMENTS),
-    default=8,
-    show_default=True,
-    help="Compare the noise of N parts of the log; 1 disables this.",
+    type=click.IntRange(1),
+    help="Axes at a time. [default: number of processors]",
 )
-@flag("--second-opinion", group=ADVANCED, help="Also compare with a fit of the Allan curve.")
-@flag("--bins", group=ADVANCED, help="Add binned spectra to report.json, for pooling logs.")
 def command(
     *,
     request: LogRequest,
@@ -148,34 +89,24 @@ def command(
     model: str,
     method: str,
     level: float,
-    criterion: str,
-    weights: str,
-    segments: int,
-    second_opinion: bool,
-    taus: str,
-    edf: str,
-    no_clean: bool,
-    bins: bool,
     jobs: int | None,
-    datasheet: bool,
+    si: bool,
     out: Path | None,
     no_report: bool,
     formats: tuple[str, ...],
-    figure: str,
-    no_html: bool,
     opened: bool,
     as_json: bool,
 ) -> None:
     """Fit a noise model to every axis of LOG and write a report.
 
-    LOG is a CSV or other text, MCAP, ROS 1 bag, ROS 2 bag (file or folder), Parquet, NPZ, NPY,
-    MAT, HDF5, JSON lines, ULog or ArduPilot (.bin) file, its URL (https://, s3://,
-    gs://, az://), or - for text on standard input. Several LOGs are joined to one recording if
-    each continues the one before (splits of a bag, rotated tables), or with --join.
+    LOG is a recording of an IMU at rest: MCAP, ROS 1 or ROS 2 bag, CSV or other text, Parquet, HDF5, MAT,
+    NPZ, NPY, ULog, ArduPilot (.bin) or JSON lines; its URL (https, s3, gs, az); or - for text on standard
+    input. Several LOGs are joined to one recording if each continues the one before (splits of a bag,
+    rotated tables), or with --join.
 
-    The table on standard output lists the noise terms of each axis with their intervals. The
-    report folder contains report.json, report.html and the pictures. Table and report begin with a
-    verdict: good, look first or not noise. With not noise, the exit code is 4.
+    The first line is the verdict: good, check first, or not noise (exit code 4). The table lists the noise
+    terms of each axis with their intervals. The report is a folder with report.html, report.json and
+    pictures.
     """
     from imucal.cli._result_table import summary_table
     from imucal.pipeline import Settings
@@ -185,20 +116,7 @@ def command(
 
     try:
         reading = request.settings() | ({"rests": True} if rests else {})
-        settings = Settings(
-            model=model,
-            method=method,
-            level=level,
-            criterion=criterion,
-            weights=weights,
-            segments=segments,
-            second_opinion=second_opinion,
-            taus=taus,
-            edf=edf,
-            clean=not no_clean,
-            bins=bins,
-            reading=reading,
-        )
+        settings = Settings(model=model, method=method, level=level, reading=reading)
     except ValueError as error:
         misuse(error)
     folder = out or report_folder(request.logs[0])
@@ -209,14 +127,11 @@ def command(
     if as_json:
         click.echo(printable_json(dumps(to_document(report))), nl=False)
     else:
-        echo(summary_table(report, datasheet=datasheet, forced=is_set("force"), columns=width()))
+        echo(summary_table(report, datasheet=not si, forced=is_set("force"), columns=width()))
     print_findings(_printed_findings(report))
     missing: list[Finding] = []
     if not no_report:
-        files = write_report(
-            report, folder, formats=formats, html=not no_html, paper=figure == "paper",
-            on_finding=missing.append, workers=jobs,
-        )  # fmt: skip
+        files = write_report(report, folder, formats=formats, on_finding=missing.append, workers=jobs)
         print_note(_written(folder, [path.name for path in files], replaced=replaced))
         print_findings(missing)
         if opened and (page := folder / "report.html") in files:

@@ -264,7 +264,7 @@ _REPORT_EPILOG = unwrapped("""
 Examples:
   imucal fleet report fleet
   imucal fleet report fleet --content 0.99 --no-html
-  imucal export fleet --value tolerance --to kalibr
+  imucal export fleet --to kalibr
 
 Exit codes: 0 done, 2 usage, 3 the folder is not a fleet or can't be read,
 4 no log is done, 5 a file can't be written.
@@ -279,7 +279,7 @@ Exit codes: 0 done, 2 usage, 3 the folder is not a fleet or can't be read,
     type=SHARE,
     default=0.95,
     show_default=True,
-    help="Share of all units that the tolerance bound covers.",
+    help="Share of all units that the tolerance bound contains.",
 )
 @option(
     "--confidence",

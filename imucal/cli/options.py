@@ -28,10 +28,12 @@ Decorator: TypeAlias = Callable[[Callable[..., Any]], Callable[..., Any]]
 # Titles of the groups.
 OPTIONS = "Options"
 OUTPUT = "Output"
-SAMPLES = "Which samples"
+SAMPLES = "Part of the log"
 UNITS = "Units"
-MODEL = "Model"
+MODEL = "Fit"
+NUMBERS = "Numbers"
 ADVANCED = "Advanced"
+MESSAGES = "Messages"
 
 PICTURE_FORMATS = ("png", "svg", "pdf")
 #: A range such as ``[x>=1]``, which click adds to the help; the error message contains it.
@@ -56,7 +58,7 @@ class Option(click.Option):
 class Command(click.Command):
     """A command whose ``--help`` lists its options in groups."""
 
-    groups: tuple[str, ...] = (OPTIONS, OUTPUT, SAMPLES, UNITS, MODEL, ADVANCED)
+    groups: tuple[str, ...] = (OPTIONS, OUTPUT, SAMPLES, UNITS, NUMBERS, MODEL, ADVANCED, MESSAGES)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         records: dict[str, list[tuple[str, str]]] = {title: [] for title in self.groups}
@@ -116,27 +118,28 @@ def unwrapped(text: str) -> str:
     return "\n\n".join(f"\b\n{block}" for block in text.strip("\n").split("\n\n"))
 
 
-quiet = context_flag(
-    "-q", "--quiet", group=OUTPUT, help="Print results only: no progress, findings or paths."
+def fleet_model(*, group: str = OPTIONS) -> Decorator:
+    """Declare the option for one sensor model of a fleet."""
+    text = "Of a fleet with several sensor models: this one."
+    return option("--sensor", "fleet_model", group=group, metavar="NAME", help=text)
+
+
+quiet = context_flag("-q", "--quiet", group=MESSAGES, help="Print results only.")
+verbose = context_flag(
+    "-v", "--verbose", group=MESSAGES, help="Print all warnings, and the reason of each choice."
 )
-verbose = context_flag("-v", "--verbose", group=OUTPUT, help="Print the reason of each choice.")
-force = context_flag("--force", help="Continue even if the log is not at rest (otherwise exit code 4).")
-datasheet = option(
-    "--datasheet/--si",
-    group=OUTPUT,
-    default=True,
-    show_default=True,
-    help="Use datasheet or SI units in the table.",
-)
+force = context_flag("--force", help="Go on although the log is not noise at rest.")
+si_units = flag("--si", group=OUTPUT, help="Print SI units instead of those of data sheets.")
 pictures = option(
     "--format",
     "formats",
     group=OUTPUT,
+    metavar="NAME",
     type=click.Choice(PICTURE_FORMATS),
     multiple=True,
     default=("png",),
     show_default=True,
-    help="Format of the pictures; may be repeated.",
+    help="Pictures as png, svg or pdf; may be repeated.",
 )
 model = option(
     "--model",
@@ -144,8 +147,7 @@ model = option(
     metavar="TEXT",
     type=STRUCTURE,
     default="auto",
-    show_default=True,
-    help='Fit these terms, such as "N + B + K" or "N + 2*GM".',
+    help='Fit these terms, such as "N + B + K" or "N + 2*GM". [default: chosen by the data]',
 )
 level = option(
     "--level",
@@ -154,10 +156,8 @@ level = option(
     type=LEVEL,
     default=0.95,
     show_default=True,
-    help="Confidence level of every interval.",
+    help="Confidence level of the intervals.",
 )
-no_clean = flag("--no-clean", group=ADVANCED, help="Keep spikes instead of leaving them out.")
-fleet_model = option("--fleet-model", metavar="NAME", help="Sensor model, if the fleet has several.")
 
 # Options for reading a log.
 topic = option(
@@ -165,7 +165,7 @@ topic = option(
     group=SAMPLES,
     metavar="NAME",
     multiple=True,
-    help="Topic to read; give one for each sensor if they are separate.",
+    help="IMU topic; give two if the sensors are separate.",
 )
 _skip = option(
     "--skip",
@@ -174,15 +174,13 @@ _skip = option(
     metavar="TIME",
     type=DURATION,
     default=0.0,
-    help="Skip the start, such as 5min.",
+    help="Leave out the start, such as 5min.",
 )
 _take = option(
-    "--take", "take_s", group=SAMPLES, metavar="TIME", type=DURATION, help="Read only this much, such as 2h."
+    "--take", "take_s", group=SAMPLES, metavar="TIME", type=DURATION, help="Use only this much, such as 2h."
 )
-_time = option(
-    "--time", group=SAMPLES, metavar="CLOCK", help="Time stamps to use: 'header', 'log', or a table's column."
-)
-_RATE_HELP = "Sampling rate in Hz, if the log's is missing or wrong."
+_time = option("--time", group=SAMPLES, metavar="CLOCK", help="Time stamps: 'header', 'log', or a column.")
+_RATE_HELP = "Sampling rate, if the log's is missing or wrong."
 _rate = option("--rate", "rate_hz", group=SAMPLES, metavar="HZ", type=RATE, help=_RATE_HELP)
 _rate_of_model = option(
     "--rate", "rate_hz", metavar="HZ", type=RATE, help=f"{_RATE_HELP} Required with a model."
@@ -191,7 +189,7 @@ _columns = option(
     "--columns",
     group=SAMPLES,
     metavar="TEXT",
-    help="Columns, or fields of messages: t=0,g=1:4,a=4:7 or gz=rate.z.",
+    help="Columns of a table, or fields of messages: t=0,g=1:4,a=4:7.",
 )
 _message_definition = option(
     "--msg",
@@ -200,51 +198,47 @@ _message_definition = option(
     metavar="FILE",
     type=click.Path(exists=True, path_type=Path),
     multiple=True,
-    help="Message definition (.msg), or a folder with several, if the log has none.",
+    help="Message definition (.msg) or a folder of them, if the log has none.",
 )
-_join = flag(
-    "--join", group=SAMPLES, help="Read several LOGs as one recording, even if they do not look like it."
-)
-_strict = flag(
-    "--strict", group=SAMPLES, callback=remember, help="Refuse a damaged log; exit with code 4 on a warning."
-)
+_join = flag("--join", group=SAMPLES, help="Read several LOGs as one recording.")
+_strict = flag("--strict", callback=remember, help="Refuse a damaged log; exit with code 4 on a warning.")
 _strict_reading = flag("--strict", group=SAMPLES, callback=remember, help="Refuse a damaged log.")
 _units = all_of(
     [
-        option(
-            "--time-unit",
-            group=UNITS,
-            metavar="UNIT",
-            type=TIME_UNIT,
-            help="Unit of the time stamps, if the log has none: s, ms, us, ns, min, h or 100ns.",
-        ),
         option(
             "--gyro-unit",
             group=UNITS,
             metavar="UNIT",
             type=sample_unit(Sensor.GYROSCOPE),
-            help="Gyroscope unit, if the log has none: rad/s, deg/s, mdeg/s, …",
+            help="rad/s, deg/s, mdeg/s, …, if the log has none.",
         ),
         option(
             "--accel-unit",
             group=UNITS,
             metavar="UNIT",
             type=sample_unit(Sensor.ACCELEROMETER),
-            help="Accelerometer unit, if the log has none: m/s^2, g, mg, …",
+            help="m/s^2, g, mg, …, if the log has none.",
         ),
         option(
             "--gyro-scale",
             group=UNITS,
             metavar="X",
             type=SCALE,
-            help="Scale of raw gyroscope counts, in rad/s per count.",
+            help="Size of a raw count, in rad/s.",
         ),
         option(
             "--accel-scale",
             group=UNITS,
             metavar="X",
             type=SCALE,
-            help="Scale of raw accelerometer counts, in m/s^2 per count.",
+            help="Size of a raw count, in m/s^2.",
+        ),
+        option(
+            "--time-unit",
+            group=UNITS,
+            metavar="UNIT",
+            type=TIME_UNIT,
+            help="s, ms, us, ns, min, h or 100ns, if the log has none.",
         ),
     ]
 )
@@ -324,7 +318,7 @@ def _with_report(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 #: Options for reading a log, without its range; the command gets them as `reading`.
-reading_options = all_of([_time, _rate, _columns, _message_definition, _units, _with_reading])
+reading_options = all_of([_columns, _time, _rate, _message_definition, _units, _with_reading])
 #: LOG and all options for reading it; the command gets them as `request`.
 log_options = all_of(
     [

@@ -99,13 +99,6 @@ _NAMED_TAUS = re.compile(r"octave|all|decade(:[1-9]\d{0,3})?")
 _TAU_NAMES = "octave, decade, decade:20 or all"
 
 
-def _tau_set(text: str) -> str:
-    name = text.strip()
-    if not _NAMED_TAUS.fullmatch(name):
-        raise ValueError(f"{name!r} is not {_TAU_NAMES}")
-    return name
-
-
 def _taus(text: str) -> str | tuple[float, ...]:
     name = text.strip()
     if _NAMED_TAUS.fullmatch(name):
@@ -161,8 +154,6 @@ ANGLE = Text("angle", angle_of)
 DURATION = Text("duration", seconds_of)
 TIME_UNIT = Text("unit", _time_unit)
 STRUCTURE = Text("structure", structure_of)
-#: Averaging times of a report, whose JSON has the name of the set.
-TAU_SET = Text("taus", _tau_set)
 TAUS = Text("taus", _taus)
 PATH = click.Path(path_type=Path)
 FILE = click.Path(exists=True, dir_okay=False, path_type=Path)

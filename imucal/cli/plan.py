@@ -15,11 +15,11 @@ from imucal.cli.options import (
     MODEL,
     OUTPUT,
     Command,
-    datasheet,
     flag,
     model_options,
     option,
     quiet,
+    si_units,
     unwrapped,
 )
 from imucal.cli.param_types import DURATION, LEVEL, RATE, Number, Text
@@ -89,7 +89,7 @@ Exit codes: 0 done, 2 usage, 3 the report can't be read.
 )
 @option("--latitude", metavar="DEG", type=Number(-90, 90), help="Latitude of the place, with --rests.")
 @flag("--json", "as_json", group=OUTPUT, help="Print the plan as JSON (SI) on standard output.")
-@datasheet
+@si_units
 @quiet
 @option(
     "--level",
@@ -109,7 +109,7 @@ def command(
     rests: int | None,
     rest: float,
     latitude: float | None,
-    datasheet: bool,
+    si: bool,
     as_json: bool,
 ) -> None:
     """Compute how long to record for a given precision of each noise term.
@@ -133,7 +133,7 @@ def command(
     if as_json:
         print_json(to_document(result))
     else:
-        echo(_table(result, datasheet=datasheet))
+        echo(_table(result, datasheet=not si))
     if any(need.bounded for axis in result.axes for need in axis.needs):
         print_note("< value: not detected; the time is for a term as large as this bound")
     if not as_json and any(_may_be_missed(need) for axis in result.axes for need in axis.needs):

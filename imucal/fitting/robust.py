@@ -68,7 +68,8 @@ def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
         louder = float(np.std(np.diff(series.samples)) / np.std(np.diff(samples)) - 1)
         text += (
             " The other samples still have more outliers than normal noise, so N depends on how many are "
-            f"replaced: with `--no-clean` it is about {100 * louder:.2g} % larger."
+            "replaced: if spikes are kept (`imucal.fit(recording, clean=False)`), it is about "
+            f"{100 * louder:.2g} % larger."
         )
     found = Finding(level, "spikes", text, advice, axis=series.name)
     return replace(series, samples=samples), (found, *_tail_finding(series, rest))

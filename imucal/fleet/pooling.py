@@ -1,4 +1,4 @@
-"""pool: several records of one unit -> one fit, from the bins stored with their fits.
+"""pool: several records of one unit -> one fit, from the bins of their fits.
 
 The likelihood is the product of the records' likelihoods. Each term is tested for equality in all records. If
 a term differs, its estimate is the mean of the records, with an interval that includes their spread.
@@ -90,11 +90,11 @@ class PooledFit:
 def pool(fits: Sequence[NoiseFit], *, model: str = "N + B + K", level: float = 0.95) -> PooledFit:
     """Fit several records of one axis of one unit together, from the bins of their fits.
 
-    Each of the `fits` needs bins (`NoiseFit.bins`): from `imucal.fit` or `imucal.characterize`, or from a
-    report written with bins. `model` must not be ``auto``, so that all units have the same terms. The limits
-    are profile limits. For up to four stationary records the result equals the fit (``segments=1``) of one
-    record that contains them with long gaps in between, except that steps, cycles, effects of temperature,
-    spikes and heavy tails are treated in each record separately.
+    Each of the `fits` needs bins (`NoiseFit.bins`): from `imucal.fit` or `imucal.characterize`; a
+    report.json does not contain them. `model` must not be ``auto``, so that all units have the same terms.
+    The limits are profile limits. For up to four stationary records the result equals the fit
+    (``segments=1``) of one record that contains them with long gaps in between, except that steps, cycles,
+    effects of temperature, spikes and heavy tails are treated in each record separately.
 
     Raises a DataError if a fit has no bins, or if the records differ in sensor, sampling rate or output
     filter. Raises a ValueError if there is no fit, if `model` is not a sum of terms, or if `level` is not
@@ -268,7 +268,7 @@ def _bins_of(fits: Sequence[NoiseFit]) -> list[Bins]:
     for number, fit in enumerate(fits, 1):
         if fit.bins is None:
             which = f"fit {number} of {len(fits)} ({fit.method})"
-            advice = "fit the log again, and write its report with imucal fit --bins"
+            advice = "fit the samples of each record with imucal.fit; a report.json contains no bins"
             raise DataError(f"{which}: found no bins, expected the bins of method 'mle'; {advice}")
     return [fit.bins for fit in fits if fit.bins is not None]
 

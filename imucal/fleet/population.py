@@ -37,8 +37,8 @@ _SUSPECTS, _SUSPECT = 5, 0.2
 _CONTENT = 0.95
 _MOSTLY_BOUNDED = "{:.0f} % of the logs only bound this term: longer logs would help more than more units."
 _ALL_BOUNDED = (
-    "All logs together do not show this term: every number is an upper bound, and the spread between units "
-    "is unknown. Longer logs would help more than more units."
+    "This term was not detected in all logs together: every number is an upper bound, and the spread between "
+    "units is unknown. Longer logs would help more than more units."
 )
 _TOO_FEW = (
     "{}: the spread between units, the next unit and a tolerance bound need at least "

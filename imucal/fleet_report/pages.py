@@ -134,7 +134,7 @@ def verdict(fleet: Fleet) -> tuple[str, str]:
         parts.append(loose_text(fleet))
     if few := [model.title for model in fleet.models if len(model.units) < 3]:
         parts.append(f"{', '.join(few)}: too few units for a spread or a bound")
-    grade, text = ("look", "; ".join(parts)) if parts else ("good", "no unit is odd, and every log counts")
+    grade, text = ("check", "; ".join(parts)) if parts else ("good", "no unit is odd, and every log counts")
     if chance:
         text += f"; far off in one of many terms, perhaps by chance: {'; '.join(chance)}"
     # A model's name stays as it is.

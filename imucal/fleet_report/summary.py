@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 class FleetLog:
     """One log of a fleet; without labels `model` is empty and `unit` None.
 
-    `status` is ``ok`` or the kind of failure; `verdict` is good, look, not-noise or empty; `findings` are
+    `status` is ``ok`` or the kind of failure; `verdict` is good, check, not-noise or empty; `findings` are
     codes. `report` is the folder of its own report, relative to the fleet's folder, or empty. `left_out` is
     the reason why its numbers do not count, or empty.
     """

@@ -160,9 +160,7 @@ def _characterised(task: LogTask, settings: FleetSettings, logs: LocalLogs, *, k
     if skip_s or take_s < math.inf:
         recording = recording.between(skip_s, skip_s + take_s)
     recording = logs.named(recording)
-    wanted = Settings(
-        model=settings.model, level=settings.level, bins=True, reading={**task.reading, "path": task.path}
-    )
+    wanted = Settings(model=settings.model, level=settings.level, reading={**task.reading, "path": task.path})
     # Other processors work on other logs.
     report = characterize(recording, wanted, workers=1)
     results, bins, name = [], [], ""

@@ -103,7 +103,7 @@ def filter_numbers(
     joined: Joined = "worst",
     time_s: float | None = None,
 ) -> FilterNumbers:
-    """Return the least white noise and walk that cover the spectra of some axes.
+    """Return the least white noise and walk that are enough for the spectra of some axes.
 
     The least pair is the covering pair whose Allan variance is nearest to the fits', in the mean logarithm
     from the step to the horizon. For a fit without a likelihood the upper limits of its Allan curve are

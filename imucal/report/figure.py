@@ -26,7 +26,6 @@ from imucal.report.figure_style import (
     SMALL_SIZE,
     Style,
     marked,
-    name_axes,
     new_figure,
     write_foot,
     write_head,
@@ -45,7 +44,7 @@ FORMATS = ("png", "svg", "pdf")
 #: Inches.
 WIDTH = 10.0
 _PLOT_HEIGHT, _HEAD, _AXIS_ROOM, _ROW = 3.3, 0.72, 0.55, 0.2
-_GRADES = {"good": "#1d6b35", "look": "#8a5200", "not-noise": "#b00020"}
+_GRADES = {"good": "#1d6b35", "check": "#8a5200", "not-noise": "#b00020"}
 #: Fractions of the figure.
 _LEFT, _RIGHT = (0.085, 0.497), (0.674, 0.312)
 
@@ -60,7 +59,7 @@ def axis_figure(report: Report, axis: AxisReport) -> "Figure":
     """Return the Allan deviation and psd of one axis with model and terms."""
     figure, left, right = _figure(report, rows=4)
     fit, units = axis.fit, units_of(report, axis.sensor)
-    recorded, structure = _recorded(axis), str(fit.model) or "no term shown"
+    recorded, structure = _recorded(axis), str(fit.model) or "no term detected"
     write_head(figure, axis_title(axis), f"{recorded}   ·   model {structure} ({fit.method.upper()})")
     entries = draw_allan(left, fit, units)
     names = {str(entry.get_label()) for entry in entries}
@@ -89,26 +88,6 @@ def sensor_figure(report: Report, sensor: Sensor) -> "Figure":
     draw_allan_overview(left, axes, units)
     draw_psd_overview(right, axes, units)
     _write_table(figure, axes, rows)
-    return figure
-
-
-#: One column of a paper in inches, and text size in points.
-_COLUMN, _COLUMN_HEIGHT, _COLUMN_SIZE = 3.5, 2.8, 8.0
-
-
-def paper_figure(report: Report, item: AxisReport | Sensor) -> "Figure":
-    """Return Allan deviations for one column of a paper: no title, no footer."""
-    from matplotlib.text import Text
-
-    figure = new_figure(_COLUMN, _COLUMN_HEIGHT)
-    axes = figure.add_axes((0.17, 0.15, 0.81, 0.83))
-    if isinstance(item, Sensor):
-        draw_allan_overview(axes, report.by_sensor[item], units_of(report, item))
-        name_axes(axes, report.by_sensor[item], markersize=3.8)
-    else:
-        draw_allan(axes, item.fit, units_of(report, item.sensor))
-    for text in figure.findobj(Text):
-        text.set_fontsize(_COLUMN_SIZE)
     return figure
 
 
@@ -251,25 +230,19 @@ class Drawings:
         }
 
 
-def picture_names(report: Report, formats: Sequence[str], *, paper: bool = False) -> tuple[str, ...]:
+def picture_names(report: Report, formats: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the pictures of a report."""
-    return tuple(name for item in _items(report) for name in _files(item, formats, paper=paper))
+    return tuple(name for item in _items(report) for name in _files(item, formats))
 
 
 def _items(report: Report) -> tuple[AxisReport | Sensor, ...]:
     return (*report.axes, *report.by_sensor)
 
 
-def _files(
-    item: AxisReport | Sensor, formats: Sequence[str], *, paper: bool
-) -> dict[str, Callable[[Report, Any], "Figure"]]:
-    """Return file name -> function that draws it; pictures for papers are vector formats."""
+def _files(item: AxisReport | Sensor, formats: Sequence[str]) -> dict[str, Callable[[Report, Any], "Figure"]]:
+    """Return file name -> function that draws it."""
     stem, whole = (item.short, sensor_figure) if isinstance(item, Sensor) else (item.name, axis_figure)
-    scaling = [form for form in formats if form != "png"] or ["pdf"]
-    return {
-        **{f"{stem}.{form}": whole for form in formats},
-        **{f"{stem}-paper.{form}": paper_figure for form in scaling if paper},
-    }
+    return {f"{stem}.{form}": whole for form in formats}
 
 
 def draw(
@@ -277,37 +250,34 @@ def draw(
     formats: Sequence[str],
     *,
     page: bool = False,
-    paper: bool = False,
     workers: int | None = None,
 ) -> Drawings:
     """Draw the pictures of a report in some formats.
 
-    `page` adds png if a page can't show the formats. `paper` adds pictures such as ``gyro-paper.pdf``.
+    `page` adds png if a page can't show the formats.
     """
     wanted = tuple(formats)
     if page and not _SHOWN_BY_PAGES.keys() & set(wanted):
         wanted += ("png",)
-    items = _items(report) if wanted or paper else ()
+    items = _items(report) if wanted else ()
     count = threads() if workers is None else workers
     if count > 1 and items:
         # Import once, before the fork.
         import_module("matplotlib.figure")
         import_module("matplotlib.backends.backend_agg")
     drawn = Drawings()
-    for one in side_by_side(partial(_draw_one, report, formats=wanted, paper=paper), items, workers=count):
+    for one in side_by_side(partial(_draw_one, report, formats=wanted), items, workers=count):
         drawn.files |= one.files
         drawn.failures += one.failures
     return drawn
 
 
-def _draw_one(
-    report: Report, item: AxisReport | Sensor, *, formats: tuple[str, ...], paper: bool
-) -> Drawings:
+def _draw_one(report: Report, item: AxisReport | Sensor, *, formats: tuple[str, ...]) -> Drawings:
     from matplotlib import rc_context
 
     made = cache(lambda figure: figure(report, item))
     result = Drawings()
-    for name, figure in _files(item, formats, paper=paper).items():
+    for name, figure in _files(item, formats).items():
         form = name.rpartition(".")[2]
         # Hinting is invisible at this size, and slow.
         with rc_context({"text.hinting": "none"}):

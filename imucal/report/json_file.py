@@ -19,7 +19,6 @@ from imucal.arrays import FloatArray
 from imucal.clock import Gap
 from imucal.errors import ReadError
 from imucal.findings import Finding
-from imucal.fitting.bins import BINS_VERSION, Bins
 from imucal.fitting.noise_fit import (
     Candidate,
     Estimate,
@@ -124,26 +123,6 @@ def _segments(node: Node) -> Segments:
     )
 
 
-def _bins(node: Node) -> Bins:
-    version = node["version"].count()
-    if version != BINS_VERSION:
-        node["version"].fail(f"found {version}", f"{BINS_VERSION}, as this version of imucal writes")
-    n, first, r = node["n"].counts(), node["first"].counts(), len(node["regressors"].texts())
-    start = node["start"].counts(like=n.size)
-    if not n.size or start[0] != 0 or np.any(np.diff([*start, first.size]) < 1):
-        node["start"].fail("found starts of blocks that do not increase", "increasing ones from 0")
-    blocks = zip(n.tolist(), np.split(first, start[1:]), strict=True)
-    if not all(own[0] >= 1 and own[-1] < size and np.all(np.diff(own) > 0) for size, own in blocks):
-        node["first"].fail("found ordinates that do not increase in a block", "increasing ones below its n")
-    cross, lower = ([row.array(like=first.size) for row in node[key]] for key in ("cross", "gram"))
-    if len(cross) != r or len(lower) != r * (r + 1) // 2 or not r:
-        node["cross"].fail(f"found {len(cross)} and {len(lower)} lists", f"one for each of {r} regressors")
-    gram = np.zeros((r, r, first.size))
-    for i, j, row in zip(*np.tril_indices(r), lower, strict=True):
-        gram[i, j] = gram[j, i] = row
-    return _BINS.read(node, cross=np.array(cross), gram=gram)
-
-
 layout_of(Quantity, "value low high unit")
 layout_of(Interval, "value low high", low=OR_NAN, high=OR_INFINITE)
 _FINDING = layout_of(Finding, "level code axis text advice keep_s")
@@ -189,22 +168,16 @@ _TERM = layout_of(
     alternatives=list_of(one_of(*TERMS)),
     horizon_s=OR_INFINITE,
 )
-_BINS = layout_of(
-    Bins,
-    "version scale tau0_s=tau0 widening n start~n first size~first power~first regressors=names cross gram",
-    **dict.fromkeys(("scale", "tau0_s", "widening"), Node.positive),
-)
 _FIT = layout_of(
     NoiseFit,
     "method model= expression=model rate_hz level criterion goodness terms=estimates parameters covariance "
-    "response candidates segments? settings bins?",
+    "response candidates segments? settings",
     expression=_model,
     goodness=_GOODNESS.read,
     rate_hz=Node.positive,
     level=_level,
     terms=_estimates,
     segments=maybe(_segments),
-    bins=_bins,
 )
 _AXIS = layout_of(
     AxisReport,
@@ -225,7 +198,7 @@ def to_document(report: Report) -> JsonObject:
             "summary": _summary(report),
             "findings": list(dict.fromkeys(report.all_findings)),
             "filter_numbers": list(_pair_entries(report)) if report.verdict.usable else [],
-            "axes": [_axis_entry(report, axis) for axis in report.axes],
+            "axes": [_axis_entry(axis) for axis in report.axes],
         }
     )
 
@@ -234,7 +207,7 @@ def axis_document(report: Report, axis: AxisReport) -> JsonObject:
     """Return the header, the findings about the axis, and its entry."""
     about = {None, axis.sensor.short, axis.name}
     findings = [f for f in dict.fromkeys(report.all_findings) if f.axis in about]
-    return _object({**_header(report), "findings": findings, **_axis_entry(report, axis)})
+    return _object({**_header(report), "findings": findings, **_axis_entry(axis)})
 
 
 def signal_document(report: Report) -> JsonObject:
@@ -292,7 +265,7 @@ def _pair_document(pair: FilterNumbers) -> JsonObject:
     return _PAIR.write(pair, ratios=[{"time_s": time, "ratio": ratio} for time, ratio in pair.ratios])
 
 
-def _axis_entry(report: Report, axis: AxisReport) -> JsonObject:
+def _axis_entry(axis: AxisReport) -> JsonObject:
     """Return the entry of an axis; reading and writing it again changes nothing.
 
     Deviations are squared first: the root of a squared float is exact, the square of a root is not.
@@ -300,8 +273,7 @@ def _axis_entry(report: Report, axis: AxisReport) -> JsonObject:
     curve = replace(axis.fit.curve, avar=axis.fit.curve.adev**2)
     spectrum = axis.spectrum
     spectrum = replace(spectrum, frequency=_rounded(spectrum.frequency), psd=_rounded(spectrum.psd))
-    bins = axis.fit.bins if report.settings.get("bins") is True else None
-    fit = replace(axis.fit, curve=curve, bins=bins)
+    fit = replace(axis.fit, curve=curve)
     floor, unit = numbers.minimum(fit), TERMS["B"].datasheet_unit(axis.sensor)
     low, high = curve.confidence_interval(fit.level)
     known = {"level": fit.level, "low": low, "high": high, "model_adev": fit.model_adev(), "used": fit.used}
@@ -323,17 +295,12 @@ def _axis_entry(report: Report, axis: AxisReport) -> JsonObject:
 
 
 def _fit_entry(fit: NoiseFit, sensor: Sensor) -> JsonObject:
-    message: JsonObject = {}
-    if (bins := fit.bins) is not None:
-        # The products are symmetric.
-        message["bins"] = _BINS.write(bins, gram=bins.gram[np.tril_indices(len(bins.names))])
     return _FIT.write(
         fit,
         model=str(fit.model),
         expression=fit.model.text(),
         terms={estimate.key: _term_entry(estimate, fit, sensor) for estimate in fit.estimates},
         segments=fit.segments and _segments_entry(fit.segments, fit.level, sensor),
-        **message,
     )
 
 
@@ -430,4 +397,4 @@ def _with_signals(report: Report, file: Path) -> Report:
 
 
 def _refuse_constant(name: str) -> NoReturn:
-    raise ValueError(f"it holds {name}")
+    raise ValueError(f"it contains {name}")

@@ -40,7 +40,7 @@ def _lines(value: Displayed) -> Iterator[str]:
             yield f"tau {tau[0]:.4g} to {tau[-1]:.4g} s, minimum {adev:.4g} at {numbers.seconds(at)}"
         case NoiseFit():
             seen = view({"": value})
-            name, model = str(seen.sensor or "curve").capitalize(), str(value.model) or "no term shown"
+            name, model = str(seen.sensor or "curve").capitalize(), str(value.model) or "no term detected"
             yield f"{name}: {model} ({value.method}, {100 * value.level:.4g} % intervals)"
             yield from (f"{key:7} {text}" for key, text in _cells(seen.rows[:11], 0))
         case AxisReport():

@@ -196,11 +196,11 @@ def engineering_exponent(quantities: Iterable[Quantity]) -> int:
 def compact(quantity: Quantity, *, exponent: int = 0) -> tuple[str, str]:
     """Return value and interval over ``10**exponent``, such as ``("0.2013", "[0.2010, 0.2016]")``.
 
-    A bound is ``("< 0.12", "")``, or ``("< 0.12", "(drawn 0.07)")`` if the model contains the term.
+    A bound is ``("< 0.12", "")``, or ``("< 0.12", "(model: 0.07)")`` if the model contains the term.
     """
     scaled = quantity.scaled(10.0**-exponent, quantity.unit)
     if scaled.value is None:
-        drawn = "" if scaled.drawn is None else f"(drawn {_fixed(scaled.drawn, decimals(scaled))})"
+        drawn = "" if scaled.drawn is None else f"(model: {_fixed(scaled.drawn, decimals(scaled))})"
         return _bound(scaled.high), drawn
     places = decimals(scaled)
     value = _fixed(scaled.value, places)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from imucal.report.figure import Drawings
 
 _REPORT = "report.json"
-_OWN = re.compile(r"report\.(json|html)|signal\.json|(gyro|accel)(_[xyz])?(-paper)?\.(json|png|svg|pdf)")
+_OWN = re.compile(r"report\.(json|html)|signal\.json|(gyro|accel)(_[xyz])?\.(json|png|svg|pdf)")
 
 
 @takes('imucal.write_report(report, "folder")', report=Report, out=(str, Path))
@@ -29,7 +29,6 @@ def write_report(
     *,
     formats: Sequence[str] = ("png",),
     html: bool = True,
-    paper: bool = False,
     on_finding: Callable[[Finding], None] | None = None,
     workers: int | None = None,
 ) -> tuple[Path, ...]:
@@ -45,8 +44,6 @@ def write_report(
         Formats of the pictures: ``png``, ``svg``, ``pdf``; empty for none.
     html
         Whether to write the page.
-    paper
-        Whether to draw curves for one column of a paper, such as ``gyro-paper.pdf``.
     on_finding
         Called with the finding of each picture or page that was left out.
     workers
@@ -65,9 +62,9 @@ def write_report(
         check_format(form)
     folder = _folder(out)
     folder.refuse_foreign()
-    drawings = draw(report, formats, page=html, paper=paper, workers=workers)
+    drawings = draw(report, formats, page=html, workers=workers)
     contents = _contents(report, drawings, html=html, on_finding=on_finding or (lambda _: None))
-    names = _names(report, picture_names(report, formats, paper=paper))
+    names = _names(report, picture_names(report, formats))
     return folder.write({name: contents[name] for name in names if name in contents})
 
 
@@ -84,7 +81,7 @@ def _names(report: Report, pictures: Sequence[str]) -> tuple[str, ...]:
     stems = [*(axis.name for axis in report.axes), *(sensor.short for sensor in Sensor)]
     names = [_REPORT, "report.html", SIGNAL_FILE]
     for stem in stems:
-        names += [f"{stem}.json", *(n for n in pictures if n.rpartition(".")[0] in {stem, f"{stem}-paper"})]
+        names += [f"{stem}.json", *(n for n in pictures if n.rpartition(".")[0] == stem)]
     return tuple(names)
 
 

@@ -104,7 +104,7 @@ _TABLES: dict[str, Callable[[], str]] = {
         name: _keys(name)
         for name in (
             *("source", "filter_numbers", "axis", "curve", "minimum", "spectrum", "fit", "goodness"),
-            *("segments", "bins", "term", "finding"),
+            *("segments", "term", "finding"),
         )
     },
 }

@@ -21,12 +21,12 @@ from tests.fleet.simulated_fleet import ODD, MadeLog, make_fleet
 LABELS = ("--labels", "{model}/{unit}/{temperature_c}C/*.npz")
 #: Fault of a log -> its possible outcomes: status, or verdict of an analysed log.
 MAY_END = {
-    "": {"good", "look"},
+    "": {"good", "check"},
     "cut": {"unreadable"},
     "garbage": {"unreadable"},
     "empty": {"unreadable", "copy"},
     "short": {"no-data", "unreadable"},
-    "moved": {"not-noise", "look"},
+    "moved": {"not-noise", "check"},
     "copy": {"copy"},
 }
 

@@ -4,7 +4,7 @@
 
 It runs the commands of each page and writes the program's numbers to the text blocks. Lines whose words the
 program does not print are listed and unchanged: edit them by hand. Without a page it also draws the
-pictures of the README, tutorial and theory, and writes docs/options.md and the tables of docs/messages.md.
+pictures of the README, tutorial and theory, and writes the tables of docs/messages.md.
 It takes some minutes.
 """
 
@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 
 from imucal.report.figure import render
-from tests.benchmarks import code_tables, options_page, theory_figures, tutorial_figures
+from tests.benchmarks import code_tables, theory_figures, tutorial_figures
 from tests.code_blocks import ROOT, fill_folder, missing_lines, renewed, run_page
 
 __all__ = ["renew"]
@@ -41,12 +41,10 @@ def main() -> None:
     ]
     missing = 0
     for page in pages:
-        if page.name != "options.md":
-            lines = renew(page)
-            missing += len(lines)
-            print(f"{page.name}: {len(lines)} lines are not printed", *lines, sep="\n  ", flush=True)
+        lines = renew(page)
+        missing += len(lines)
+        print(f"{page.name}: {len(lines)} lines are not printed", *lines, sep="\n  ", flush=True)
     if len(sys.argv) == 1:
-        options_page.PAGE.write_text(options_page.page(), encoding="utf-8")
         code_tables.renew_pages()
         tutorial_figures.draw(ROOT / "docs" / "images")
         for name, draw in theory_figures.FIGURES.items():

@@ -71,7 +71,7 @@ def measure(name: str, url: str, fetched: Callable[[], int], place: Path, size: 
     """Print a row for each command, with an empty cache and a full one."""
     cache = place / f"cache-{name}"
     os.environ["IMUCAL_CACHE"] = str(cache)
-    fit = ("--model", "N + B", "--no-report", "--force", "-q", "--segments", "1")
+    fit = ("--model", "N + B", "--no-report", "--force", "-q")
     jobs: list[tuple[str, Callable[[], Any]]] = [
         ("info", lambda: run("info", url, cwd=place)),
         ("describe", lambda: describe(url)),

@@ -122,7 +122,7 @@ def test_findings_of_a_calibration_are_judged(document: Document) -> None:
     assert not judged(document, f'{SCALE}[findings]\nlevel = "warning"').passed
     result = judged(document, '[findings]\nforbid = ["warming"]')
     assert [(row.subject, row.verdict) for row in result.rows] == [("warming", "fail")]
-    assert result.noise.grade == "look"
+    assert result.noise.grade == "check"
 
 
 @pytest.mark.parametrize(

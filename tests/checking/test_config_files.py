@@ -87,7 +87,7 @@ SLIPS: dict[str, tuple[Callable[[float], float], str, tuple[Sensor, ...]]] = {
     "zero": (lambda _: 0.0, "expected a positive number", BOTH),
     "negative": (lambda c: -c, "expected a positive number", BOTH),
     "tiny": (lambda _: 6.5e-15, "times too small, absurd: no sensor is this good", BOTH),
-    "third": (lambda c: c / 3, "3 times too small: below the values that cover", BOTH),
+    "third": (lambda c: c / 3, "3 times too small: below the values that are enough", BOTH),
 }
 
 
@@ -150,7 +150,7 @@ def test_fitted_n_and_k_are_too_small_if_there_is_flicker(tmp_path: Path) -> Non
     rows = read_back(tmp_path, render(report, "kalibr", ExportOptions(numbers="as-fitted")), report)
     walk = rows["gyroscope_random_walk"]
     assert walk.verdict == "fail"
-    assert "K of the fit alone is below the values that cover the fitted spectrum" in walk.text
+    assert "K of the fit alone is below the values that are enough for the fitted spectrum" in walk.text
     # Flicker is covered if N K >= B²/2; with three times the white noise, a third of the walk is enough.
     shared = "gyroscope_noise_density: 3e-4\ngyroscope_random_walk: 8e-7\n"
     rows = read_back(tmp_path, shared, report)

@@ -29,8 +29,8 @@ def test_json_contains_every_number() -> None:
     document = json.loads(json.dumps(to_document(_result()), allow_nan=False))
     assert document["schema"] == "imucal/checking/1"
     assert (document["verdict"], document["passed"]) == ("fail", False)
-    assert document["noise"]["verdict"] == "look"
-    assert document["noise"]["sentence"].startswith("Look first: ")
+    assert document["noise"]["verdict"] == "check"
+    assert document["noise"]["sentence"].startswith("Check first: ")
     assert document["counts"] == {"pass": 6, "fail": 2, "undecided": 1}
     row = next(row for row in document["rows"] if row["verdict"] == "undecided")
     assert (row["where"], row["subject"], row["side"], row["limit"]) == ("gyro_x", "K", "max", 1.1e-6)

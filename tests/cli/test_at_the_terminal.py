@@ -9,8 +9,8 @@ import pytest
 from imucal.cli import main
 from tests.cli.run import SAMPLE_LOGS, run
 
-_PLAIN = ("--model", "N", "--segments", "1")
-_QUICK = (*_PLAIN, "--no-html", "--format", "svg")
+_PLAIN = ("--model", "N")
+_QUICK = (*_PLAIN, "--format", "svg")
 _SHORT = str(SAMPLE_LOGS / "too_short.db3")
 
 
@@ -29,13 +29,9 @@ def test_a_folder_is_one_line_and_a_second_run_reports_the_replacement(tmp_path:
     """Instead of a line a file."""
     _write(tmp_path / "log.csv", 40)
     first = run("fit", "log.csv", "-o", "out", *_QUICK, cwd=tmp_path)
-    assert "Wrote out: report.json, 4 pictures, 3 JSON files\n" in first.stderr
-    again = run("fit", "log.csv", "-o", "out", *_QUICK, "--figure", "paper", cwd=tmp_path)
-    assert "Replaced the report in out: report.json, 8 pictures, 3 JSON files\n" in again.stderr
-    picture = (tmp_path / "out" / "gyro-paper.svg").read_text(encoding="utf-8")
-    # 3.5 inches of 72 points.
-    assert 'width="252pt"' in picture
-    assert "imucal 0" not in picture.partition("</metadata>")[2]
+    assert "Wrote out: report.json, report.html, 4 pictures, 3 JSON files\n" in first.stderr
+    again = run("fit", "log.csv", "-o", "out", *_QUICK, cwd=tmp_path)
+    assert "Replaced the report in out: report.json, report.html, 4 pictures, 3 JSON files\n" in again.stderr
 
 
 def test_a_log_carried_at_both_ends_gets_one_error_and_one_remedy(tmp_path: Path) -> None:
@@ -86,7 +82,7 @@ def test_open_shows_the_page(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) ->
     monkeypatch.setattr("click.launch", shown.append)
     monkeypatch.chdir(tmp_path)
     _write(tmp_path / "log.csv", 20)
-    for more in (("--open",), ("--open", "--no-html"), ()):
+    for more in (("--open",), ("--open", "--no-report"), ()):
         with pytest.raises(SystemExit) as ended:
             main(["fit", "log.csv", "-o", "out", "-q", *_PLAIN, "--format", "svg", *more])
         assert ended.value.code == 0

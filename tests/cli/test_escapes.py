@@ -91,14 +91,14 @@ def test_json_is_exact_and_steers_nothing(logs: Path) -> None:
     first, second = json.loads(done.stdout)["logs"]
     assert first["topics"][0]["name"] == f"/imu{EVIL}" == describe(logs / "one.mcap").topics[0].name
     assert second["path"] == f"file{EVIL}.mcap"
-    done = run("fit", "--json", "--no-report", "--model", "N", "--segments", "1", "one.mcap", cwd=logs)
+    done = run("fit", "--json", "--no-report", "--model", "N", "one.mcap", cwd=logs)
     assert not STEERING.search(done.stdout + done.stderr)
     assert json.loads(done.stdout)["source"]["topics"] == [f"/imu{EVIL}"]
 
 
 def test_a_report_shows_escapes(logs: Path) -> None:
     """The page, the pictures and the config files contain escapes instead of control characters."""
-    quick = ("--model", "N", "--segments", "1", "--format", "svg")
+    quick = ("--model", "N", "--format", "svg")
     done = run("fit", f"table{EVIL}.csv", *quick, "--gyro-unit", "rad/s", "-o", "r", cwd=logs)
     assert done.returncode == 0
     assert not STEERING.search(done.stderr)

@@ -12,7 +12,7 @@ from tests.cli.run import SAMPLE_LOGS, run
 from tests.remote.one_axis import OPTIONS, one_axis
 
 SHORT = str(SAMPLE_LOGS / "too_short.db3")
-QUICK = ("--model", "N", "--segments", "1")
+QUICK = ("--model", "N")
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def test_results_and_talk_go_to_different_streams(
     """Standard output contains only the table; paths and findings are on standard error."""
     done, _ = whole
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith(("Good for N; ", "Look first: "))
+    assert done.stdout.startswith(("Good for N; ", "Check first: "))
     assert done.stdout.splitlines()[1:3] == ["", "GYROSCOPE                                ACCELEROMETER"]
     assert "report.json" not in done.stdout
     assert "Wrote too_short-imucal: report.json, report.html, 8 pictures, 7 JSON files\n" in done.stderr
@@ -80,7 +80,7 @@ def test_strict_turns_a_warning_into_an_exit_code(tmp_path: Path) -> None:
 def test_a_part_has_its_own_gaps_only(tmp_path: Path) -> None:
     """There is no warning about gaps elsewhere, and the six axes share one clock."""
     log = str(SAMPLE_LOGS / "with_gaps.csv")
-    part = ("--skip", "25s", "--take", "30s", "--model", "N + B", "--segments", "1")
+    part = ("--skip", "25s", "--take", "30s", "--model", "N + B")
     done = run("fit", log, "--no-report", "--strict", *part, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "[gaps]" not in done.stderr
@@ -111,7 +111,7 @@ def test_a_folder_that_can_not_be_written_is_refused_before_the_fit(tmp_path: Pa
 def test_hints_can_be_typed(tmp_path: Path) -> None:
     """Paths with blanks, or like options, are quoted."""
     (tmp_path / "log.csv").write_bytes(one_axis())
-    done = run("fit", "log.csv", *OPTIONS, *QUICK, "--no-html", "-o", "-my report", cwd=tmp_path)
+    done = run("fit", "log.csv", *OPTIONS, *QUICK, "-o", "-my report", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Next: imucal export './-my report' --to kalibr" in done.stderr
 
@@ -131,25 +131,20 @@ def test_the_report_is_named_after_the_log(log: str, folder: str) -> None:
     assert report_folder(log) == Path(folder)
 
 
-def test_parts_of_the_record_are_compared_unless_asked_not_to(tmp_path: Path) -> None:
-    """The report contains the number of parts; zero parts are refused."""
+def test_parts_of_the_record_are_compared(tmp_path: Path) -> None:
+    """The report contains the number of parts."""
     rows = np.c_[np.arange(10_000) / 100, 1e-3 * np.random.default_rng(3).standard_normal(10_000)]
     np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="t,gz", comments="")
     ask = ("fit", "log.csv", *OPTIONS, "--no-report", "--json", "-q", "--model", "N")
-    cut = json.loads(run(*ask, cwd=tmp_path).stdout)
-    whole = json.loads(run(*ask, "--segments", "1", cwd=tmp_path).stdout)
-    assert (cut["settings"]["segments"], whole["settings"]["segments"]) == (8, 1)
-    assert len(cut["axes"][0]["fit"]["segments"]["start_s"]) == 4
-    assert whole["axes"][0]["fit"]["segments"] is None
-    refused = run("fit", "log.csv", "--segments", "0", cwd=tmp_path)
-    assert refused.returncode == 2
-    assert "1<=x<=64" in refused.stderr
+    report = json.loads(run(*ask, cwd=tmp_path).stdout)
+    assert report["settings"]["segments"] == 8
+    assert len(report["axes"][0]["fit"]["segments"]["start_s"]) == 4
 
 
 @pytest.mark.usefixtures("forks")
 def test_json_on_standard_output_is_the_report_however_many_axes_are_fitted_at_a_time(tmp_path: Path) -> None:
     """The bytes do not depend on the workers, no file is written, and zero workers are refused."""
-    command = ["fit", SHORT, "--json", "--no-report", "-q", "--model", "N + B", "--segments", "1", "--jobs"]
+    command = ["fit", SHORT, "--json", "--no-report", "-q", "--model", "N + B", "--jobs"]
     one, two, none = (run(*command, jobs, cwd=tmp_path) for jobs in "120")
     assert (one.returncode, two.returncode, none.returncode) == (0, 0, 2)
     assert one.stdout == two.stdout != ""

@@ -92,25 +92,25 @@ def test_report_lists_the_labels_to_type(folder: Path) -> None:
         (("fleet", "report", "nothing"), 3, "expected the folder of a fleet"),
         (("export", "two", "--to", "kalibr"), 4, "found 2 units, expected at least 3 for a tolerance bound"),
         (
-            ("export", "like.npz", "--value", "median", "--to", "kalibr"),
+            ("export", "like.npz", "--median", "--to", "kalibr"),
             2,
-            "is not a fleet; omit --value",
+            "is not a fleet; omit --median",
         ),
         (
-            ("export", "fleet", "--fleet-model", "X", "--to", "kalibr"),
+            ("export", "fleet", "--sensor", "X", "--to", "kalibr"),
             3,
             "expected one of the sensor models: 'ACME-6'",
         ),
         (("export", "fleet", "--rate", "9", "--to", "kalibr"), 2, "without options for a log"),
         (("compare", "fleet", "like.npz"), 2, "imucal check like.npz --fleet fleet"),
         (("compare", "fleet", "https://h/a&b.npz"), 2, "imucal check 'https://h/a&b.npz' --fleet fleet"),
-        (("compare", "a", "b", "--fleet-model", "X"), 2, "is not a fleet; omit --fleet-model"),
+        (("compare", "a", "b", "--sensor", "X"), 2, "is not a fleet; omit --sensor"),
         (
             ("check", "like.npz", "--fleet", "nothing"),
             3,
             "expected the folder of a fleet that imucal fleet run writes",
         ),
-        (("check", "like.npz", "--fleet-model", "X"), 2, "give --fleet FLEET too"),
+        (("check", "like.npz", "--sensor", "X"), 2, "give --fleet FLEET too"),
         (("check", "like.npz", "--fleet", "two"), 4, "found 2 units of ACME-6, expected at least 3"),
     ],
 )
@@ -126,9 +126,9 @@ def test_contradicting_options_are_reported(
 def test_a_fleet_is_exported(folder: Path) -> None:
     """The default is the bound, the option selects the median, and a comment names the choice."""
     bound = run("export", "fleet", "--to", "kalibr", "-o", "-", cwd=folder)
-    median = run("export", "fleet", "--value", "median", "--to", "kalibr", "-o", "-", cwd=folder)
+    median = run("export", "fleet", "--median", "--to", "kalibr", "-o", "-", cwd=folder)
     assert "every number is the 95/95 tolerance bound" in bound.stdout
-    assert "covers gyro_x, 95/95" in bound.stdout
+    assert "enough for gyro_x, 95/95" in bound.stdout
     assert "95/95 tolerance bound of 8 units" in bound.stdout
     assert "every number is the median unit" in median.stdout
 

@@ -33,7 +33,7 @@ def done(logs: Path) -> Path:
     """Return the working folder, with the fleet of the logs in it, done in one process."""
     ended = run("fleet", "run", "logs", *LABELS, "--shard", "1/1", "--max-failed", "20%", cwd=logs)
     assert ended.returncode == 0, ended.stderr
-    assert ended.stdout.startswith("fleet: 8 logs done: 7 good, 0 to look at, 0 not noise, 1 unreadable\n")
+    assert ended.stdout.startswith("fleet: 8 logs done: 7 good, 0 check first, 0 not noise, 1 unreadable\n")
     assert "unreadable: 1\n  logs/beta/u02/15C/log0007.npz: not a readable NPZ file: " in ended.stderr
     return logs
 
@@ -71,7 +71,7 @@ def test_status_reports_it_too(done: Path) -> None:
     """For people and for programs."""
     said = run("fleet", "status", "fleet", cwd=done)
     assert said.returncode == 0
-    assert said.stdout.startswith("fleet: 8 logs done: 7 good, 0 to look at, 0 not noise, 1 unreadable\n")
+    assert said.stdout.startswith("fleet: 8 logs done: 7 good, 0 check first, 0 not noise, 1 unreadable\n")
     document = json.loads(run("fleet", "status", "fleet", "--json", cwd=done).stdout)
     assert document["statuses"]["ok"] == 7
     assert document["statuses"]["unreadable"] == 1

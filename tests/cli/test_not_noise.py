@@ -14,7 +14,7 @@ from tests.cli.run import run
 RATE, N = 50.0, 1000
 AXES = ("gx", "gy", "gz", "ax", "ay", "az")
 #: As short a way to a result as there is.
-QUICK = ("--model", "N", "--segments", "1", "--no-report")
+QUICK = ("--model", "N", "--no-report")
 
 
 def moved(rows: FloatArray) -> None:
@@ -102,7 +102,7 @@ def test_a_log_that_is_not_noise_is_not_exported(tmp_path: Path) -> None:
 def test_the_report_is_written_and_named(tmp_path: Path) -> None:
     """JSON, page and table begin with it; no export is suggested; the gate stays shut."""
     write(tmp_path / "log.csv", moved, ("gx", "gy", "gz"))
-    done = run("fit", "log.csv", "--model", "N", "--segments", "1", "--format", "svg", cwd=tmp_path)
+    done = run("fit", "log.csv", "--model", "N", "--format", "svg", cwd=tmp_path)
     said = "Not noise: the IMU was moved; do not use these numbers"
     assert done.returncode == 4
     assert done.stdout.splitlines()[0] == said
@@ -167,11 +167,11 @@ def test_a_wrong_unit_is_not_a_matter_of_stationarity(tmp_path: Path) -> None:
         rows[:, 1:4] = np.degrees(rows[:, 1:4]) + np.array([40, 0, 0])
 
     write(tmp_path / "log.csv", in_degrees)
-    command = ("fit", "log.csv", "--model", "N", "--segments", "1", "--format", "svg", "--no-html")
+    command = ("fit", "log.csv", "--model", "N", "--format", "svg")
     done = run(*command, cwd=tmp_path)
     assert done.returncode == 0
     first = " ".join(done.stdout.splitlines()[:2])
-    assert first.startswith("Look first: a unit that looks wrong on gyro; 6 of 6 axes are stationary noise")
+    assert first.startswith("Check first: a unit that looks wrong on gyro; 6 of 6 axes are stationary noise")
     assert "Next: run again with --gyro-unit deg/s, because the unit looks wrong" in done.stderr
     assert "imucal export" not in done.stderr
     again = run(*command, "--gyro-unit", "deg/s", cwd=tmp_path)
@@ -186,7 +186,7 @@ def test_white_noise_that_is_hardly_known_is_not_exported(tmp_path: Path) -> Non
     rows[:, 6] += 9.81
     head = ",".join(["t [s]", *(f"{axis} [{'rad/s' if axis[0] == 'g' else 'm/s^2'}]" for axis in AXES)])
     np.savetxt(tmp_path / "walk.csv", rows, delimiter=",", fmt="%.9g", header=head, comments="")
-    command = ("fit", "walk.csv", "--model", "N + K", "--force", "--format", "svg", "--no-html", "-o", "walk")
+    command = ("fit", "walk.csv", "--model", "N + K", "--force", "--format", "svg", "-o", "walk")
     done = run(*command, cwd=tmp_path)
     assert done.returncode == 0
     assert "is uncertain by more than a factor of 10" in done.stderr
@@ -203,17 +203,14 @@ def test_a_given_unit_that_contradicts_the_log_is_repeated(tmp_path: Path) -> No
         "log.csv",
         "--model",
         "N",
-        "--segments",
-        "1",
         "--format",
         "svg",
-        "--no-html",
         "-o",
         "out",
     )
     done = run(*command, "--gyro-unit", "deg/s", cwd=tmp_path)
     assert done.returncode == 0
-    assert done.stdout.startswith("Look first: a unit other than the log's own on gyro")
+    assert done.stdout.startswith("Check first: a unit other than the log's own on gyro")
     said = " ".join(done.stderr.split())
     assert "Next: run again without --gyro-unit if the log's own unit is right; if not, imucal export" in said
     exported = run("export", "out", "--to", "vins", "-o", "x.yaml", cwd=tmp_path)

@@ -13,7 +13,7 @@ from tests.slow_cases import first_by_default
 RATE = 25.0
 #: White noise of the axes, in SI.
 NOISE = np.array([1e-3] * 3 + [2e-2] * 3)
-OPTIONS = ("--no-report", "--model", "N", "--segments", "1")
+OPTIONS = ("--no-report", "--model", "N")
 SUGGESTED = re.compile(r"(?:--skip ([\d.]+)s )?--take ([\d.]+)s")
 
 

@@ -16,7 +16,7 @@ def test_both_sensors_are_side_by_side() -> None:
     report = consumer_report()
     report = replace(report, axes=report.axes[:2] + report.axes[3:5])
     assert summary_table(report, datasheet=True, encoding="utf-8").splitlines() == [
-        "Look first: a tone on gyro_x; 3 of 4 axes are stationary noise, N to ±0.39 %",
+        "Check first: a tone on gyro_x; 3 of 4 axes are stationary noise, N to ±0.39 %",
         "",
         "GYROSCOPE                                ACCELEROMETER",
         "200 Hz, 2160000 samples, 3 h 2 min       200 Hz, 2160000 samples, 3 h",

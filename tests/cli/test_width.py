@@ -12,7 +12,7 @@ from tests.cli.reports import write_report
 from tests.cli.run import SAMPLE_LOGS, run
 
 DOCS = SAMPLE_LOGS.parent / "docs"
-_QUICK = ("--no-report", "--segments", "1", "--take", "10s")
+_QUICK = ("--no-report", "--take", "10s")
 COMMANDS = [
     ("fit", str(SAMPLE_LOGS / "too_short.db3"), "--model", "N + GM", *_QUICK),
     ("fit", str(SAMPLE_LOGS / "too_short.db3"), "--model", "N", "--si", *_QUICK),

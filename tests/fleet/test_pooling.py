@@ -291,7 +291,7 @@ def _other(kind: str, fit: NoiseFit) -> NoiseFit:
 @pytest.mark.parametrize(
     ("kind", "text"),
     [
-        ("bins", "fit 2 of 2 .*: found no bins, expected .*imucal fit --bins"),
+        ("bins", "fit 2 of 2 .*: found no bins, expected .*with imucal.fit;"),
         ("rate", "fit 2 of 2: found 200 Hz, expected 100 Hz as in fit 1; pool records of one sampling rate"),
         ("sensor", "fit 2 of 2: found .*accelerometer, expected .* as in fit 1"),
         ("filter", "fit 2 of 2: found an output filter at 20 Hz, expected no output filter as in fit 1"),

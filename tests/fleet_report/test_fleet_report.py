@@ -92,7 +92,7 @@ def test_logs_that_do_not_count_are_grouped(fleet: Fleet) -> None:
     ]
     assert ("unreadable", "the file is damaged: no footer after byte 12") in fleet.failures
     assert "u94" not in fleet.model().units
-    assert verdict(fleet)[0] == "look"
+    assert verdict(fleet)[0] == "check"
     assert "u07 (gyro_z N)" in verdict(fleet)[1]
     assert "5 of 101 logs do not count" in verdict(fleet)[1]
     kept = [log for log in fleet.logs if not log.left_out]
@@ -308,7 +308,7 @@ def test_exports_contain_the_tolerance_bound(fleet: Fleet) -> None:
     assert "95/95 tolerance bound of 24 units" in text
     covered = yaml.safe_load(render(report, "kalibr"))["gyroscope_noise_density"]
     assert worst < covered < 2 * worst
-    assert "covers gyro_x, gyro_y, gyro_z, 95/95 tolerance bound of 24 units" in render(report, "kalibr")
+    assert "enough for gyro_x, gyro_y, gyro_z, 95/95 tolerance bound of 24 units" in render(report, "kalibr")
     assert "fleet of 24 units of ACME-6; every number is the 95/95 tolerance bound" in text
     for target in TARGETS:
         assert "written by imucal" in render(report, target)
@@ -773,7 +773,7 @@ def test_an_undetected_term_is_a_bound_in_all_outputs(tmp_path: Path) -> None:
     cells = [row for row in rows if (row["sensor"], row["axis"], row["term"]) == ("gyroscope", "y", "K")]
     assert {(row["bounded"], row["median"]) for row in cells} == {("1", "")}
     page = render_fleet_page(fleet)
-    assert "All logs together do not show this term" in page
+    assert "This term was not detected in all logs together" in page
     assert all(drawn_as(picture.draw, ["svg"])["svg"] for picture in fleet_pictures(fleet))
     report = imucal.fleet_as_report(fleet, value="median")
     (axis,) = [axis for axis in report.axes if axis.name == "gyro_y"]

@@ -15,7 +15,7 @@ _SECTOR = 64
 COMMANDS = (
     ("fleet", "report", "--no-pictures", "--no-html"),
     ("fleet", "status"),
-    ("export", "--value", "median", "--to", "kalibr", "-o", "-"),
+    ("export", "--median", "--to", "kalibr", "-o", "-"),
 )
 
 

@@ -55,7 +55,7 @@ def test_the_observed_value_is_the_allan_deviation_of_the_half() -> None:
 
 
 def test_a_half_with_different_noise_is_reported() -> None:
-    """The flicker noise is four times as large in the second half; the verdict becomes "look"."""
+    """The flicker noise is four times as large in the second half; the verdict becomes "check"."""
     samples = noise("N=1e-3 + B=3e-4", 31)
     samples[N // 2 :] = noise("N=1e-3 + B=1.2e-3", 32)[: N - N // 2]
     series = series_of(samples)
@@ -73,7 +73,7 @@ def test_a_half_with_different_noise_is_reported() -> None:
     recording = imucal.Recording(source=imucal.recording.Source(path="a.csv", format="csv"), series=(series,))
     report = imucal.characterize(recording)
     assert "predicts-badly" in {found.code for found in report.axes[0].findings}
-    assert report.verdict.grade == "look"
+    assert report.verdict.grade == "check"
     assert "halves that don't predict each other" in report.verdict.sentence
 
 

@@ -20,7 +20,7 @@ from tests.cli.run import run
 from tests.readers.logs import START, imu_messages, samples, write_db3, write_mcap
 
 #: A report as JSON on standard output, without other files.
-QUICK = ("--model", "N", "--segments", "1", "--force", "-q", "--json", "--no-report")
+QUICK = ("--model", "N", "--force", "-q", "--json", "--no-report")
 
 
 def b2sum(path: Path) -> str:

@@ -31,7 +31,7 @@ def blank_pictures() -> Iterator[None]:
         return {form: _BLANK[form] for form in forms}
 
     with (
-        mock.patch.multiple(figure, axis_figure=undrawn, sensor_figure=undrawn, paper_figure=undrawn),
+        mock.patch.multiple(figure, axis_figure=undrawn, sensor_figure=undrawn),
         mock.patch.object(figure, "render", lambda _, form, **__: _BLANK[form]),
         mock.patch.object(files, "drawn_as", of_a_fleet),
     ):

@@ -129,7 +129,7 @@ def test_the_upper_bound_of_an_undetected_term_is_written() -> None:
     """A comment explains that the number is an upper bound."""
     text = render(consumer_report(), "kalibr", fitted(axis_policy="y"))
     assert yaml.safe_load(text)["gyroscope_random_walk"] == 4.1e-7
-    assert "K of gyro_y, UPPER BOUND (95%): the data do not show this term" in text
+    assert "K of gyro_y, UPPER BOUND (95%): not detected" in text
     assert "not detected, so the 95% upper bound is written: K of accel_y, K of gyro_y" in text
 
 
@@ -167,7 +167,7 @@ def test_refuse_makes_an_undetected_term_an_error() -> None:
         render(consumer_report(), "kalibr", ExportOptions(unidentified="refuse"))
     assert str(error.value) == (
         "logs/still_night.mcap: accel_y: K was not detected (upper bound 5e-06 m/s^2/sqrt(s)), but kalibr "
-        "needs a value; accept the bound, choose an axis that shows the term, or record for longer"
+        "needs a value; accept the bound, choose an axis on which it is detected, or record for longer"
     )
     assert render(consumer_report(), "kalibr", ExportOptions(unidentified="refuse", axis_policy="x"))
 
@@ -594,9 +594,9 @@ def test_the_comment_lists_effects_that_two_numbers_do_not_cover() -> None:
     """
     text = render(consumer_report(), "px4")
     assert "accel_x: quantization adds up to sqrt(2) Q = 2.83e-06" in text
-    assert f"the tone of 12.5 Hz is not covered; it adds {1.2e-5 / (math.pi * 12.5):.3g}" in text
+    assert f"the tone of 12.5 Hz is not included; it adds {1.2e-5 / (math.pi * 12.5):.3g}" in text
     assert "; fit: N 0.00013 (" in text
-    assert "not detected, so the 95% upper bound is covered in part: K of accel_y, K of gyro_y" in text
+    assert "not detected, so the 95% upper bound is included in part: K of accel_y, K of gyro_y" in text
 
 
 def test_kf_gins_and_okvis2_get_the_measured_correlation_time() -> None:

@@ -83,14 +83,14 @@ def _listed(part: object) -> set[str]:
 
 
 def _fitted_report() -> Report:
-    """Return the report of a fit with bins, segments, a remote log and its range."""
+    """Return the report of a fit with segments, a remote log and its range."""
     samples = imucal.NoiseModel.parse("N=1e-4 + K=1e-5").simulate(
         40_000, rate_hz=50.0, rng=np.random.default_rng(5)
     )
     series = imucal.AxisSeries.from_samples(samples, rate_hz=50.0)
     file = LogFileInfo(path="s3://bucket/log.csv", size_bytes=5, blake2b="ab" * 64, etag="cd")
     source = Source(path="log.csv", format="csv", files=(file,))
-    settings = imucal.Settings(model="N + K", bins=True)
+    settings = imucal.Settings(model="N + K")
     return imucal.characterize(imucal.Recording(source=source, series=(series,)), settings)
 
 

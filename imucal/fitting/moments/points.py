@@ -220,8 +220,8 @@ def avar_points(series: AxisSeries | None, curve: AllanCurve) -> AvarPoints:
     used = np.array(chosen, dtype=np.int64)
     if used.size < 2:
         msg = (
-            f"{where}: {used.size} positive Allan variances at averaging times a factor {_MIN_SPACING} "
-            "apart; a fit needs at least 2: record for longer"
+            f"{where}: {used.size} positive Allan variances at averaging times that differ by a factor "
+            f"{_MIN_SPACING}; a fit needs at least 2: record for longer"
         )
         raise DataError(msg)
     m = curve.m[used]

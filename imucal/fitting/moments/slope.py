@@ -93,7 +93,7 @@ def read_term(
         if not places.size:
             msg = (
                 f"window of {symbol}: no averaging time between {first:g} and {last:g} s; "
-                f"the curve has {tau[0]:.4g} to {tau[-1]:.4g} s, a factor of about 2 apart"
+                f"the curve has {tau[0]:.4g} to {tau[-1]:.4g} s, which differ by a factor of about 2"
             )
             raise ValueError(msg)
     else:

@@ -150,7 +150,7 @@ def choice_findings(choice: RankedModels, axis: str) -> tuple[Finding, ...]:
     if choice.modes[0] < _AS_GOOD / 2:
         text = (
             f"{near[0].structure} fits the record about equally well with two sets of coefficients. The "
-            "better one is reported; its intervals do not cover the other."
+            "better one is reported; its intervals do not contain the other."
         )
         advice = "Record for longer, or give a simpler model."
         findings.append(Finding("warning", "two-maxima", text, advice, axis=axis))

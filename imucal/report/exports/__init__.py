@@ -15,6 +15,7 @@ from imucal.report.exports.target import Target, name_key, read_targets
 from imucal.report.result import Report
 
 __all__ = [
+    "FAMILIES",
     "TARGETS",
     "AxisPolicy",
     "Basis",
@@ -25,12 +26,20 @@ __all__ = [
     "render",
 ]
 
-#: In the order of the list that users see.
-_FAMILIES = (
-    *("visual", "gtsam", "lidar", "ros", "autopilots", "simulators", "kf_gins", "matlab"),
-    "own_program",
-)
-TARGETS: dict[str, Target] = {target.name: target for target in read_targets(_FAMILIES)}
+#: Title of a family of formats -> its TOML files, in the order of the list that users see.
+_FAMILIES = {
+    "Odometry": ("visual", "gtsam"),
+    "Lidar": ("lidar",),
+    "Robots": ("ros", "autopilots", "simulators"),
+    "GNSS, MATLAB": ("kf_gins", "matlab"),
+    "Own program": ("own_program",),
+}
+#: Title of a family -> its formats.
+FAMILIES: dict[str, tuple[Target, ...]] = {
+    title: tuple(read_targets(files)) for title, files in _FAMILIES.items()
+}
+#: Name of a format -> the format.
+TARGETS: dict[str, Target] = {target.name: target for family in FAMILIES.values() for target in family}
 
 #: Names of other programs -> text of the error message.
 _OTHERS = {

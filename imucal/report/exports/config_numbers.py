@@ -52,7 +52,8 @@ class ExportOptions:
     - `axis_policy`: for formats with one number per sensor: largest axis, root of the mean variance, one axis
     - `inflate`: ``white``, ``walk`` or ``flicker`` -> factor on the coefficient (a deviation, not a variance)
     - `unidentified`: whether to write the upper bound of a term that was not detected
-    - `numbers`: ``covered``: white noise and walk that cover the fitted spectrum; ``as-fitted``: N and K
+    - `numbers`: ``covered``: white noise and walk that are enough for the fitted spectrum; ``as-fitted``: N
+      and K of the fit
     - `horizon_s`: how long the filter may coast
     - `step_s`: interval between two updates of the filter
     """
@@ -111,7 +112,7 @@ class Number:
     def note(self) -> str:
         """Origin and uncertainty of the number."""
         if self.covers:
-            return f"covers {', '.join(self.axes)}{self.origin and f', {self.origin}'}"
+            return f"enough for {', '.join(self.axes)}{self.origin and f', {self.origin}'}"
         text = f"{self.symbol} of {', '.join(self.axes)}{self._certainty()}"
         if not self.alternatives:
             return text
@@ -127,7 +128,7 @@ class Number:
             return ""
         if self.bounded != self.axes:
             return f"; UPPER BOUND ({level}) on {', '.join(self.bounded)}"
-        text = f", UPPER BOUND ({level}): the data do not show this term"
+        text = f", UPPER BOUND ({level}): not detected"
         if not self.excess:
             return text
         return f"{text}; {self.excess:.2g} x the line that touches the measured curve"
@@ -267,7 +268,7 @@ class Numbers:
             msg = (
                 f"{self.report.source.path}: {axis.name}: {symbol} was not detected "
                 f"(upper bound {estimate.high:.3g} {unit}), but {self.target} needs a value; "
-                "accept the bound, choose an axis that shows the term, or record for longer"
+                "accept the bound, choose an axis on which it is detected, or record for longer"
             )
             raise DataError(msg)
         value = factor * (estimate.high if estimate.value is None else estimate.value)
@@ -307,7 +308,7 @@ class Numbers:
                 driving=pair.walk,
                 correlation_time=pair.correlation_time_s or math.inf,
                 used=tuple(self._covering([axis], symbol) for symbol in COVERING),
-                note=f"{axis.name}: covered by white noise and a bias of T {pair.correlation_time_s:.4g} s",
+                note=f"{axis.name}: white noise and a bias of T {pair.correlation_time_s:.4g} s are enough",
             )
             for axis, pair in zip(axes, pairs, strict=True)
         ]

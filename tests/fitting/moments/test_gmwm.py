@@ -253,7 +253,7 @@ def test_a_curve_of_one_point_is_rejected() -> None:
     """The error states the number of points and the remedy."""
     with pytest.raises(
         DataError,
-        match=r"^the curve: 1 positive Allan variances at averaging times a factor 1\.9 apart; "
+        match=r"^the curve: 1 positive Allan variances at averaging times that differ by a factor 1\.9; "
         r"a fit needs at least 2: record for longer$",
     ):
         _short(4)

@@ -96,7 +96,7 @@ def test_gauss_markov_terms_and_empty_windows_are_rejected() -> None:
     with pytest.raises(
         ValueError,
         match=r"^window of N: no averaging time between 0\.1 and 0\.5 s; the curve has 1 to 128 s, "
-        r"a factor of about 2 apart$",
+        r"which differ by a factor of about 2$",
     ):
         fit_slope(None, curve, FitSettings(model="N"), windows={"N": (0.1, 0.5)})
 
