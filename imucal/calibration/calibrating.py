@@ -109,13 +109,13 @@ def calibrate(
     """
     if frame not in FRAMES:
         raise ArgumentError(f"no frame {frame!r}; choose one of {', '.join(FRAMES)}")
-    where = f"{recording.source.path}: "
+    where = recording.source.path
     known = None if turns is None else known_angle(turns)
     place = gravity_at(gravity=gravity, latitude=latitude, height=height)
     accelerometer = triad(recording, Sensor.ACCELEROMETER)
     gyroscope = triad(recording, Sensor.GYROSCOPE) if gyro else None
     if accelerometer is None:
-        raise DataError(f"{where}no accelerometer; calibration needs gravity as its reference")
+        raise DataError("no accelerometer; calibration needs gravity as its reference", place=where)
     try:
         spans = find_rests(accelerometer, gyroscope, at_least_s=seconds_of(rest_at_least), in_hand=in_hand)
         require_rests(spans, accelerometer, gyroscope)
@@ -144,7 +144,7 @@ def calibrate(
         found, turning = found.moving(kept), turning and turning.moving(kept)
         estimate = _estimate(found.keeping(used), place, si=si)
     except DataError as error:
-        raise DataError(f"{where}{error}", remedy=error.remedy) from error
+        raise error.within(where) from error
     axes = Frame.of(frame, _lower(estimate.theta))
     sigma = np.full(len(spans), np.nan)
     sigma[used] = np.sqrt(np.diag(estimate.fit.residual_covariance))
@@ -165,7 +165,7 @@ def calibrate(
                 si=(_said_si(recording, Sensor.GYROSCOPE), si),
             )
         except DataError as error:
-            raise DataError(f"{where}{error}", remedy=error.remedy) from error
+            raise error.within(where) from error
     found_all = Calibration(
         source=replace(recording.source, read=recording.source.read or ReadRange.of(recording.series)),
         gravity=place,

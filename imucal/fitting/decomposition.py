@@ -117,7 +117,7 @@ def decompose(
     try:
         components = smooth(model, samples, seen, series.tau0, progress=progress)
     except (ArgumentError, DataError) as error:
-        raise type(error)(f"{series.name}: {error}") from error
+        raise error.within(series.name) from error
     return Decomposition(
         series=series,
         model=model,

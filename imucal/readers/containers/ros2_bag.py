@@ -96,8 +96,8 @@ def _open(
         return _ZstdMessages(base) if folder.per_message or base.sample() == _ZSTD else base
     if head.startswith(b"\x89MCAP") or path.name.endswith(".mcap"):
         return mcap_part(folder, McapFile(path))
-    msg = f"{path}: neither SQLite nor MCAP (first bytes {head[:8].hex(' ')}); expected a file of a ROS 2 bag"
-    raise ReadError(msg)
+    found = f"neither SQLite nor MCAP (first bytes {head[:8].hex(' ')})"
+    raise refused(path, f"{found}; expected a file of a ROS 2 bag")
 
 
 def mcap_part(folder: Folder, log: McapFile) -> Container:

@@ -16,7 +16,7 @@ from itertools import chain
 from pathlib import Path, PurePath
 from typing import Any, BinaryIO, TypeAlias, cast
 
-from imucal.errors import ChoiceError, DataError, ImucalError, ReadError, as_one
+from imucal.errors import ChoiceError, DataError, ImucalError, ReadError, joined
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.compression import keep_freed_memory, most_unpacked
@@ -158,8 +158,8 @@ def read_table(
     except ChoiceError as error:
         if not source.findings:
             raise
-        damage = [ChoiceError(f"{source.name}: {finding.text}") for finding in source.findings]
-        raise as_one(source.name, [error, *damage]) from error
+        damage = [ChoiceError(finding.text, place=source.name) for finding in source.findings]
+        raise joined(source.name, [error, *damage]) from error
     return work.build(topics=plan.topics)
 
 
@@ -508,10 +508,10 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
 def _described(
     path: Path, size: int | None, compression: str, reading: Callable[[], Recording]
 ) -> LogContents:
-    found: Recording | str
+    found: Recording | ImucalError
     try:
         found = reading()
         layout = dict(found.source.decisions).get("layout", "table").partition(",")[0]
     except (ChoiceError, DataError) as error:
-        found, layout = str(error).removeprefix(f"{path}: "), "table"
+        found, layout = error, "table"
     return contents_of(path, "csv", found, size=size, layout=layout, compression=compression)
