@@ -50,9 +50,12 @@ class RecordingBuilder:
             clock, given = entry.clock, self.options.rate_hz is not None or self.options.time_unit is not None
             usual = RATES[0] * 0.98 <= clock.rate_hz <= RATES[1] * 1.02
             if not given and clock.jitter_s is not None and not usual:
-                found = f"{clock.source} gives {clock.rate_hz:.6g} Hz"
-                expected = f"expected the rate of an IMU, {RATES[0]:g} Hz to {RATES[1]:g} Hz"
-                raise ChoiceError(f"{found}; {expected}", place=where or self.path, fix=GIVE_RATE)
+                raise ChoiceError(
+                    f"{clock.source} gives {clock.rate_hz:.6g} Hz; expected the rate of an IMU, "
+                    f"{RATES[0]:g} Hz to {RATES[1]:g} Hz",
+                    place=where or self.path,
+                    fix=GIVE_RATE,
+                )
         units = find_units(where or self.path, self.options, samples, self.findings)
         for entry in samples:
             sensor, unit = entry.sensor, units[entry.sensor]
