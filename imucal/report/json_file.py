@@ -17,7 +17,7 @@ from imucal.allan.dct import Spectrum
 from imucal.arguments import takes
 from imucal.arrays import FloatArray
 from imucal.clock import Gap
-from imucal.errors import ReadError
+from imucal.errors import Fix, ReadError
 from imucal.findings import Finding
 from imucal.fitting.bins import BINS_VERSION, Bins
 from imucal.fitting.noise_fit import (
@@ -146,7 +146,8 @@ def _bins(node: Node) -> Bins:
 
 layout_of(Quantity, "value low high unit")
 layout_of(Interval, "value low high", low=OR_NAN, high=OR_INFINITE)
-_FINDING = layout_of(Finding, "level code axis text advice keep_s")
+layout_of(Fix, "text argument value")
+_FINDING = layout_of(Finding, "level code axis text advice keep_s fix?")
 layout_of(ReadRange, "from_s duration_s start_ns end_ns")
 layout_of(LogFileInfo, "path size_bytes blake2b etag?")
 _SOURCE = layout_of(

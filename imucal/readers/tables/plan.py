@@ -469,7 +469,8 @@ def _missing(table: NamedTable, found: Found) -> tuple[Finding, ...]:
             if guessed := _only_axes(table, left, sensor):
                 ready = table.columns_text(*_each((found | {sensor: guessed}).get).values())
                 advice = f"If it is one of them, give a columns text such as {ready}."
-                missing = replace(missing, level="warning", advice=advice)
+                give = Fix("", "columns", ready)
+                missing = replace(missing, level="warning", advice=advice, fix=give)
             findings.append(missing)
         elif triad.axes != AXES:
             text = f"Only {' and '.join(triad.axes)} of the {sensor} was found in the table; {listed}"
