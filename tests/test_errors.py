@@ -91,3 +91,13 @@ def test_json_has_the_fields_of_an_error(counts: Path) -> None:
     (unit,) = error["also"]
     assert [fix["option"] for fix in unit["fixes"]] == ["--gyro-unit UNIT", "--gyro-scale X"]
     assert unit["problem"].startswith("the unit of the gyroscope is unknown")
+
+
+def test_a_file_of_times_alone_has_a_code(tmp_path: Path) -> None:
+    """With a rate the file can be left out."""
+    path = tmp_path / "times.csv"
+    path.write_text("time\n" + "\n".join(f"{0.01 * i:.2f}" for i in range(50)) + "\n", encoding="utf-8")
+    with pytest.raises(ChoiceError) as caught:
+        read(path)
+    assert caught.value.code == "only-times"
+    assert [fix.argument for fix in caught.value.fixes] == ["", "rate_hz"]

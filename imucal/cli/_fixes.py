@@ -20,7 +20,7 @@ _OPTIONS = {
     "join": "--join",
     "rest_at_least": "--rest-at-least",
     "in_hand": "--in-hand",
-    "sensor": "--fleet-model",
+    "model": "--fleet-model",
 }
 
 

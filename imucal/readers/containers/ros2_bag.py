@@ -145,8 +145,10 @@ class _Unpacked(_Wrapped):
             super().__init__(open_inner(target))
         except ReadError as error:
             self._folder.cleanup()
-            msg = str(error).replace(str(target), str(path))
-            raise type(error)(f"{msg} (cut off or damaged: {damage})" if damage else msg) from error
+            named = error.at(path)
+            if damage is not None:
+                named.problem += f" (cut off or damaged: {damage})"
+            raise named from error
         self.path, self.size, self.compression = path, size, "zstd, whole file"
         if damage is not None:
             text = f"The file is cut off or damaged: {damage}; the part before was read."
