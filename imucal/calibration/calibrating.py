@@ -398,7 +398,7 @@ def _gyroscope(
         trouble = "" if start is None else trouble_of(start)
         start = None if trouble else start
     except DataError as error:
-        trouble = str(error)
+        trouble = error.sentence
     angles = np.full(which.size, np.nan)
     if known is not None and plain is not None and start is not None:
         angles, start = known_of(plain, start, known, said_si=si[0])
