@@ -7,9 +7,9 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from imucal.errors import DataError
+from imucal.errors import DataError, Fix
 from imucal.findings import Finding
-from imucal.grading import DISTURBED, RESTS, is_motion
+from imucal.grading import DISTURBED, is_motion
 from imucal.recording import Recording
 from imucal.report.result import Report
 from imucal.rests import at_rest
@@ -75,8 +75,10 @@ def _duration_s(recording: Recording) -> float:
 
 
 def _with(finding: Finding, kept: _Part | None, *, rests: bool) -> Finding:
-    advice = f"{finding.advice} {RESTS}".lstrip() if rests and is_motion(finding) else finding.advice
-    return replace(finding, advice=advice, keep_s=kept if finding.keep_s else None)
+    if rests and is_motion(finding):
+        advice = f"{finding.advice} Fit its rests together with --rests.".lstrip()
+        finding = replace(finding, advice=advice, fix=Fix("", "rests"))
+    return replace(finding, keep_s=kept if finding.keep_s else None)
 
 
 def _common_part(recording: Recording, findings: Sequence[Finding]) -> _Part | None:

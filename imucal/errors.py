@@ -4,8 +4,10 @@ A message states the place, the problem, the expected content, and the next step
 `ValueError`; in the functions of `imucal` it raises an `ArgumentError`.
 """
 
-from collections.abc import Sequence
-from typing import ClassVar
+from collections.abc import Iterable
+from copy import copy
+from dataclasses import dataclass
+from typing import ClassVar, Self
 
 #: Exit code -> its meaning, and the reaction of a script.
 EXIT_CODES = {
@@ -20,16 +22,111 @@ EXIT_CODES = {
     141: ("the reader of standard output closed it", "nothing"),
 }
 
-#: Separator of the requests in a message.
-ALSO = "; also, "
+
+@dataclass(frozen=True, slots=True)
+class Fix:
+    """One way to fix a problem.
+
+    Attributes
+    ----------
+    text
+        What to do, such as ``give the sampling rate``; empty if the problem's sentence already contains it.
+    argument
+        The argument of a function that does it, such as ``rate_hz``; empty if there is none.
+    value
+        The value of the argument, such as ``0.4s``, or a placeholder such as ``HZ``.
+    """
+
+    text: str = ""
+    argument: str = ""
+    value: str = ""
 
 
 class ImucalError(Exception):
-    """Base class of all errors that imucal raises on purpose."""
+    """Base class of all errors that imucal raises on purpose.
+
+    Parameters
+    ----------
+    problem
+        What was found, and what was expected.
+    place
+        A path, a URL, a topic or an axis; empty if there is none.
+    fix, fixes
+        One way to fix the problem, or several of which one is enough.
+    code
+        A stable, lower-case name with hyphens for programs; empty for most errors.
+    """
 
     exit_code: ClassVar[int] = 1
     #: Whether the results were printed nevertheless.
     printed = False
+
+    def __init__(
+        self,
+        problem: str = "",
+        *,
+        place: object = "",
+        fix: Fix | None = None,
+        fixes: Iterable[Fix] = (),
+        code: str = "",
+    ) -> None:
+        super().__init__(problem)
+        self.problem = problem
+        self.place = str(place)
+        self.fixes = (*fixes,) if fix is None else (fix, *fixes)
+        self.code = code
+        #: Further errors that must be fixed, too; their places are within `place`.
+        self.also: tuple[ImucalError, ...] = ()
+
+    def __str__(self) -> str:
+        """Return ``place: problem; fix; also, the next problem; its fix``."""
+        return _placed(self.place, self.sentence)
+
+    @property
+    def sentence(self) -> str:
+        """The message without the place."""
+        return "; also, ".join([self._own_sentence, *map(str, self.also)])
+
+    @property
+    def _own_sentence(self) -> str:
+        """The problem and its fixes: ``problem; do this, or do that``."""
+        texts = [fix.text for fix in self.fixes if fix.text]
+        advice = ", ".join(texts[:-1]) + ", or " + texts[-1] if len(texts) > 1 else "".join(texts)
+        # The last line of a longer problem is a row of a table.
+        separator = "\n" if "\n" in self.problem else "; "
+        return separator.join(filter(None, (self.problem, advice)))
+
+    def at(self, place: object) -> Self:
+        """Return the error at another place, such as the URL of a downloaded file."""
+        other = copy(self)
+        other.place = str(place)
+        return other
+
+    def within(self, outer: object) -> Self:
+        """Return the error with an outer place before its place, unless it is there already."""
+        inner = _below(self.place, str(outer))
+        return self.at(_placed(str(outer), inner) if inner else outer)
+
+    def with_fixes(self, *fixes: Fix) -> Self:
+        """Return the error with further ways to fix it."""
+        other = copy(self)
+        other.fixes = (*self.fixes, *fixes)
+        return other
+
+    def parts(self) -> "tuple[ImucalError, ...]":
+        """Return this error alone, then those in `also`, with their full places."""
+        own = copy(self)
+        own.also = ()
+        return (own, *(error.within(self.place) if self.place else error for error in self.also))
+
+
+def _placed(place: str, text: str) -> str:
+    return f"{place}: {text}" if place else text
+
+
+def _below(place: str, outer: str) -> str:
+    """Return the part of a place within an outer place."""
+    return "" if place == outer else place.removeprefix(f"{outer}: ")
 
 
 class ReadError(ImucalError):
@@ -39,27 +136,23 @@ class ReadError(ImucalError):
 
 
 class ChoiceError(ReadError):
-    """The topic, sensor or columns are ambiguous; the message lists the candidates."""
+    """The topic, sensor or columns are ambiguous; each fix is an argument that decides."""
 
 
-def as_one(where: str, lacking: Sequence[ChoiceError]) -> ChoiceError:
-    """Join errors whose messages begin with `where` into one with all requests."""
-    texts = dict.fromkeys(str(error).removeprefix(f"{where}: ") for error in lacking)
-    return lacking[0] if len(texts) == 1 else ChoiceError(f"{where}: {ALSO.join(texts)}")
+def joined(place: object, errors: Iterable[ChoiceError]) -> ChoiceError:
+    """Return one error at a place with the problems and fixes of all errors, each once."""
+    parts = {(part.place, part._own_sentence): part for error in errors for part in error.parts()}  # noqa: SLF001
+    first, *others = parts.values()
+    inner = _below(first.place, str(place))
+    error = ChoiceError(_placed(inner, first.problem), place=place, fixes=first.fixes, code=first.code)
+    error.also = tuple(other.at(_below(other.place, str(place))) for other in others)
+    return error
 
 
 class DataError(ImucalError):
-    """The log was read, but its data can't be analysed.
-
-    `remedy` is an argument that helps, such as ``("rest_at_least", "0.4s")`` or ``("in_hand",)``; empty if
-    there is none.
-    """
+    """The log was read, but its data can't be analysed."""
 
     exit_code = 4
-
-    def __init__(self, *texts: object, remedy: tuple[str, ...] = ()) -> None:
-        super().__init__(*texts)
-        self.remedy = remedy
 
 
 class WriteError(ImucalError):
@@ -88,9 +181,6 @@ class ArgumentError(UsageError, ValueError):
 
 class MissingError(UsageError, KeyError):
     """There is no axis or term of this name; the message lists the existing ones."""
-
-    # A KeyError would put quotes around its message.
-    __str__ = Exception.__str__
 
 
 class ManifestError(UsageError):

@@ -4,6 +4,8 @@ from dataclasses import KW_ONLY, dataclass
 from functools import cache
 from typing import Literal, NamedTuple, TypeAlias
 
+from imucal.errors import Fix
+
 Level: TypeAlias = Literal["info", "warning", "error"]
 
 
@@ -26,6 +28,8 @@ class Finding:
     keep_s
         Start and end of the good part, in s from the start of the log (for `imucal.screen`: of its
         recording); None for all of it.
+    fix
+        The argument of a function, and its value, that follows the advice; None if there is none.
     """
 
     level: Level
@@ -35,6 +39,7 @@ class Finding:
     _: KW_ONLY
     axis: str | None = None
     keep_s: tuple[float, float] | None = None
+    fix: Fix | None = None
 
 
 def options_to_keep(keep_s: tuple[float, float]) -> str:

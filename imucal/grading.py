@@ -3,10 +3,10 @@
 The most severe finding determines it, by its level or by an entry in `OTHERWISE`.
 """
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal, TypeAlias
 
+from imucal.errors import Fix
 from imucal.findings import Finding, Level, options_to_keep, phrase_of
 from imucal.frozen import frozen
 
@@ -37,12 +37,9 @@ OTHERWISE: Mapping[tuple[str, Level], Grade] = {
 OF_ALL_AXES = frozenset({"motion", "touch", "duplicate-axes", "swapped-sensors", "absurd-rate", "fast-rate"})
 
 DISTURBED = frozenset({"motion", "touch"})
-#: End of the advice for a log with several rests.
-RESTS = "Fit its rests together with --rests."
 
 #: Doubts about a unit: the noise may still be stationary.
 _OF_UNITS = frozenset({"unit-suspect", "unit-given", "unit-assumed"})
-_UNIT_OPTION = re.compile(r"--(?P<sensor>gyro|accel)-(?P<kind>unit|scale) (?P<value>[^\s;,]+)")
 
 #: Number of reasons in a sentence.
 _NAMED = 3
@@ -75,24 +72,23 @@ def is_motion(finding: Finding) -> bool:
 def remedy(findings: Iterable[Finding]) -> str:
     """Return short advice for a log that is not noise, for the end of a message."""
     moved = [finding for finding in findings if is_motion(finding)]
-    if any(finding.advice.endswith(RESTS) for finding in moved):
+    if any(finding.fix and finding.fix.argument == "rests" for finding in moved):
         return "fit the rests with --rests"
     kept = next((finding.keep_s for finding in moved if finding.keep_s), None)
     return f"fit the quiet part with {options_to_keep(kept)}" if kept else "record again at rest, or --force"
 
 
-def unit_option(findings: Iterable[Finding], reading: Mapping[str, object]) -> str:
-    """Return the option for a unit that looks wrong, such as ``--gyro-unit deg/s``, otherwise an empty text.
-
-    An option in `reading`, the settings of the run, is not returned again.
-    """
+def unit_fix(findings: Iterable[Finding], reading: Mapping[str, object]) -> Fix | None:
+    """Return the unit or scale to give if a unit looks wrong; None if it was given in `reading`."""
     for finding in findings:
-        found = _UNIT_OPTION.search(finding.advice) if finding.code == "unit-suspect" else None
-        given = found and reading.get(f"{found['sensor']}_{found['kind']}")
+        fix = finding.fix
+        if finding.code != "unit-suspect" or fix is None:
+            continue
+        given = reading.get(fix.argument)
         # X is any scale.
-        if found and given != found["value"] and not (given and found["value"] == "X"):
-            return found[0]
-    return ""
+        if given != fix.value and not (given and fix.value == "X"):
+            return fix
+    return None
 
 
 def judge_findings(

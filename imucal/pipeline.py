@@ -223,7 +223,8 @@ def _characterize_axis(
     finite = series.finite()
     if not finite.n:
         raise DataError(
-            f"{series.name}: no usable samples among {series.n}: all are NaN, infinite or absurdly large"
+            f"no usable samples among {series.n}: all are NaN, infinite or absurdly large",
+            place=series.name,
         )
     # Saves time and memory for a long axis.
     if finite.n > _BLOCK and never_changes(finite.samples):

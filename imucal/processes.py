@@ -444,7 +444,7 @@ def try_side_work(
     try:
         return make(), ()
     except DataError as error:
-        why = str(error).removeprefix(f"{axis}: ")
+        why = error.sentence if error.place == axis else str(error)
     except _NUMERIC as error:
         why = f"the calculation failed ({_last_words(error)})"
     except Exception as error:

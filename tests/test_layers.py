@@ -11,10 +11,10 @@ ROOT = Path(imucal.__file__).parent
 BELOW: dict[str, set[str]] = {
     "arrays": set(),
     "errors": set(),
-    "findings": set(),
+    "findings": {"errors"},
     "frozen": set(),
     "arguments": {"errors"},
-    "grading": {"findings", "frozen"},
+    "grading": {"errors", "findings", "frozen"},
     "_version": set(),
     "atomic": {"errors"},
     "clock": {"errors", "frozen"},

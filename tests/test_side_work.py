@@ -21,7 +21,7 @@ from tests.screening.still import recording, still
 
 #: Exceptions of side work and the resulting text; the last is a fault of the program.
 FAILURES = [
-    (DataError("gyro_x: too short, expected more"), "too short, expected more"),
+    (DataError("too short, expected more", place="gyro_x"), "too short, expected more"),
     (FloatingPointError("overflow"), "the calculation failed (FloatingPointError: overflow)"),
     (np.linalg.LinAlgError("singular."), "the calculation failed (LinAlgError: singular)"),
     (

@@ -336,8 +336,8 @@ def spectrum(series: AxisSeries, *, per_octave: int = 12, transform: Transform |
     series = series.finite()
     runs = [s for s in series.clock.segments if s.size >= 2]
     if not runs:
-        msg = f"{series.name}: a spectrum needs at least 2 neighbouring samples, got {series.n} samples"
-        raise DataError(msg)
+        msg = f"a spectrum needs at least 2 neighbouring samples, got {series.n} samples"
+        raise DataError(msg, place=series.name)
     sizes = [fast_length(run.size) for run in runs]
     grid = dct_bins(max(sizes), singles=8, per_octave=per_octave)
     edges = np.pi * np.append(grid.first - 0.5, grid.n - 0.5) / grid.n

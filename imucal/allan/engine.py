@@ -118,11 +118,11 @@ def refuse_tiny(series: AxisSeries) -> None:
     span = float(series.samples.max()) - float(series.samples.min())
     if 0 < span < TINY:
         msg = (
-            f"{series.name}: all samples are equal to {TINY:g} {series.unit}, expected noise; check the "
+            f"all samples are equal to {TINY:g} {series.unit}, expected noise; check the "
             "choice of "
             "columns, and the unit or scale"
         )
-        raise DataError(msg)
+        raise DataError(msg, place=series.name)
 
 
 def same_curve(series: AxisSeries, curve: AllanCurve, transform: Transform | None = None) -> AllanCurve:
@@ -206,10 +206,10 @@ def _of_gaps(
         how, values = "runs", run_variances(series, m, estimator)
     if not values.m.size:
         msg = (
-            f"{series.name}: too many samples are missing for an Allan variance: {series.n} of "
+            f"too many samples are missing for an Allan variance: {series.n} of "
             f"{series.clock.grid_size} are present, without filled neighbouring windows or positive values"
         )
-        raise DataError(msg)
+        raise DataError(msg, place=series.name)
     return how, values
 
 
@@ -218,10 +218,10 @@ def _factors(series: AxisSeries, taus: str | Sequence[float], estimator: Estimat
     if largest < 1:
         needed = estimator.order + 1 - estimator.integrations
         msg = (
-            f"{series.name}: {span} neighbouring samples are too few for the {estimator.name} "
+            f"{span} neighbouring samples are too few for the {estimator.name} "
             f"estimator; at least {needed} are needed"
         )
-        raise DataError(msg)
+        raise DataError(msg, place=series.name)
     return averaging_factors(
         taus, tau0=series.tau0, largest=largest, drawn=estimator.drawn(span), name=series.name
     )

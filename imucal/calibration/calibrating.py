@@ -116,7 +116,7 @@ def calibrate(
     gyroscope = triad(recording, Sensor.GYROSCOPE) if gyro else None
     if accelerometer is None:
         raise DataError(
-            f"{recording.source.path}: no accelerometer; calibration needs gravity as its reference"
+            "no accelerometer; calibration needs gravity as its reference", place=recording.source.path
         )
     with _in_log(recording):
         spans = find_rests(accelerometer, gyroscope, at_least_s=seconds_of(rest_at_least), in_hand=in_hand)
@@ -197,7 +197,7 @@ def _in_log(recording: Recording) -> Iterator[None]:
     try:
         yield
     except DataError as error:
-        raise DataError(f"{recording.source.path}: {error}", remedy=error.remedy) from error
+        raise error.within(recording.source.path) from error
 
 
 @frozen_alone
@@ -459,7 +459,7 @@ def _start(
     try:
         start = start_of(plain)
     except DataError as error:
-        return None, unknown, str(error)
+        return None, unknown, error.sentence
     if trouble := trouble_of(start):
         return None, unknown, trouble
     if known is None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray
 from imucal.calibration.poses import RestMeans, Triad, attitudes, find_rests, step_of
-from imucal.errors import DataError
+from imucal.errors import DataError, Fix
 from imucal.recording import AXES
 
 __all__ = [
@@ -47,13 +47,14 @@ def require_rests(spans_s: FloatArray, accelerometer: Triad, gyroscope: Triad | 
         return
     short = len(find_rests(accelerometer, gyroscope, at_least_s=_SHORTEST_S))
     held = len(find_rests(accelerometer, gyroscope, in_hand=True)) if gyroscope is not None else 0
-    hint, remedy = "", tuple[str, ...]()
-    if short >= MIN_RESTS:
-        hint = f"; {short} rests last {_SHORTEST_S:g} s or longer"
-        remedy = ("rest_at_least", f"{_SHORTEST_S:g}s")
-    elif held >= MIN_RESTS:
-        hint, remedy = f"; {held} rests have the tremor of a hand", ("in_hand",)
+    shorter: list[Fix] = []
     found = f"rests in {accelerometer.end_s:.0f} s: found {len(spans_s)}, expected at least {MIN_RESTS}"
+    if short >= MIN_RESTS:
+        found += f"; {short} rests last {_SHORTEST_S:g} s or longer"
+        shorter = [Fix("", "rest_at_least", f"{_SHORTEST_S:g}s")]
+    elif held >= MIN_RESTS:
+        found += f"; {held} rests have the tremor of a hand"
+        shorter = [Fix("", "in_hand")]
     advice = ADVICE
     vibration = _vibration(accelerometer)
     if vibration is not None:
@@ -63,7 +64,7 @@ def require_rests(spans_s: FloatArray, accelerometer: Triad, gyroscope: Triad | 
             "switch the "
             "motors off, or put it on a table that is at rest"
         )
-    raise DataError(f"{found}; {advice}{hint}", remedy=remedy)
+    raise DataError(found, fixes=[Fix(advice), *shorter])
 
 
 def _vibration(data: Triad) -> tuple[float, float] | None:
@@ -106,7 +107,7 @@ def require_range(data: Triad, rests: RestMeans) -> None:
     norm = float(np.median(np.linalg.norm(rests.means, axis=1)))
     if _IN_G[0] < norm < _IN_G[1]:
         msg = f"the accelerometer reads {norm:.3g} at rest, not 9.81 m/s²: its unit is g"
-        raise DataError(msg, remedy=("accel_unit", "g"))
+        raise DataError(msg, fix=Fix("", "accel_unit", "g"))
     for axis, column in enumerate(data.samples.T):
         parts = [column[first:end] for first, end in rests.spans]
         extremes = np.nanmin(column), np.nanmax(column)

@@ -21,8 +21,8 @@ from imucal.noise.terms import TERMS
 from imucal.prediction.filter_numbers import LEVEL, STEP_S, covered_frequencies
 from imucal.prediction.propagation import MEAN, Caution, upper_limit
 from imucal.recording import Sensor
-from imucal.report.exports import TARGETS, AxisPolicy
-from imucal.report.exports.config_numbers import ExportOptions, Numbers
+from imucal.report.exports import TARGETS
+from imucal.report.exports.config_numbers import AxisPolicy, ExportOptions, Numbers
 from imucal.report.exports.target import Key, Target, real
 from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report

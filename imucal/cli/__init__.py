@@ -8,7 +8,6 @@ import io
 import json
 import os
 import platform
-import re
 import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,11 +19,12 @@ import click
 from click.shell_completion import CompletionItem
 
 from imucal._version import __version__
-from imucal.errors import ALSO, EXIT_CODES, ChoiceError, DataError, ImucalError, WriteError
+from imucal.cli._fixes import fields_of, message_of
+from imucal.errors import EXIT_CODES, DataError, ImucalError, WriteError
 from imucal.printable import printable, printable_json
 from imucal.resources import single_matrix_thread
 
-__all__ = ["COMMANDS", "main", "options_for"]
+__all__ = ["COMMANDS", "main"]
 
 
 #: What imucal wrote: a folder by the file in it, or a file that is no log.
@@ -157,22 +157,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "completion": ("completion", "Print the shell's completion script (bash, zsh, fish)."),
 }
 
-#: Pattern of a message of the library, which does not mention options -> the option to use.
-_OPTIONS = (
-    (r"one of these topics|topics are named|two topics|one for each sensor|no message '|name of a topic",
-     "--topic NAME"),
-    (r"columns text|give the columns|give columns", "--columns TEXT"),
-    (r"give the time unit|is no time unit", "--time-unit UNIT"),
-    (r"sampling rate|and the rate\b", "--rate HZ"),
-    (r"(no )?unit of the gyroscope|'[^']*' of the gyroscope", "--gyro-unit UNIT"),
-    (r"(no )?unit of the accelerometer|'[^']*' of the accelerometer", "--accel-unit UNIT"),
-    (r"counts in rad/s", "--gyro-scale X"),
-    (r"counts in m/s\^2", "--accel-scale X"),
-    (r"expected header or log|another time column|column to take as time|no time column '", "--time CLOCK"),
-    (r"\.msg file", "--msg FILE"),
-    (r"parts of one recording$", "--join"),
-)  # fmt: skip
-
 #: Error numbers of writing to a full or broken disk.
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 
@@ -290,11 +274,8 @@ def _explain(error: BaseException, *, as_json: bool = False) -> int:
             text = io.StringIO()
             error.show(text)
             message, code = text.getvalue().rstrip(), error.exit_code
-        case ChoiceError():
-            hint = options_for(str(error))
-            message, code = f"Error: {error}" + (f"\nUse {hint}." if hint else ""), error.exit_code
         case ImucalError():
-            message, code = f"Error: {error}", error.exit_code
+            message, code = f"Error: {message_of(error)}", error.exit_code
         case click.Abort() | KeyboardInterrupt():
             message, code = "Interrupted; no file is incomplete.", 130
         case MemoryError():
@@ -310,24 +291,16 @@ def _explain(error: BaseException, *, as_json: bool = False) -> int:
     if as_json and not getattr(error, "printed", False):
         # Programs parse standard output; it must not contain an error after the results.
         document = {
-            "schema": "imucal/error/1",
+            "schema": "imucal/error/2",
             "error": {
                 "type": type(error).__name__,
                 "message": message.removeprefix("Error: "),
+                **fields_of(error),
                 "exit_code": code,
             },
         }
         click.echo(printable_json(json.dumps(document, indent=2)))
     return code
-
-
-def options_for(message: str) -> str:
-    """Return the options for a message, such as ``--rate HZ``; empty if there are none."""
-    asked = (
-        " or ".join(option for pattern, option in _OPTIONS if re.search(pattern, part))
-        for part in message.split(ALSO)
-    )
-    return " and ".join(filter(None, dict.fromkeys(asked)))
 
 
 #: Another project has a package of the same name: pip installs both into one folder, where one overwrites

@@ -11,7 +11,6 @@ import click
 from imucal.cli._printing import echo, print_findings, print_note, wrapped
 from imucal.cli.param_types import Text
 from imucal.clock import seconds_of
-from imucal.errors import ChoiceError
 from imucal.grading import GRADE_TEXTS, GRADES
 from imucal.remote import is_url
 from imucal.units import data_size, duration
@@ -184,7 +183,4 @@ def read_fleet(path: str | Path, model: str | None) -> "Fleet":
     """Load one sensor model of a fleet without its logs."""
     from imucal.fleet_report.summary import load_model
 
-    try:
-        return load_model(path, model)
-    except ChoiceError as error:
-        raise ChoiceError(f"{error}; choose one with --sensor") from error
+    return load_model(path, model)

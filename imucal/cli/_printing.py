@@ -88,7 +88,8 @@ _STYLES: dict[str, str] = {"error": "bold red", "warning": "yellow", "info": "cy
 def finding_text(finding: Finding, text: str | None = None) -> FindingText:
     """Return level, code and sentence of a finding: its text (or `text`), the advice, and the option."""
     option = f"Try {options_to_keep(finding.keep_s)}." if finding.keep_s else ""
-    option = "Use --columns." if "columns text" in finding.advice else option
+    if finding.fix and finding.fix.argument == "columns":
+        option = "Use --columns."
     parts = (finding.text if text is None else text, finding.advice, option)
     return finding.level, finding.code, " ".join(filter(None, parts))
 

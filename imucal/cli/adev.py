@@ -120,7 +120,8 @@ def _axis(series: AxisSeries, arguments: dict[str, Any], *, level: float, spectr
 
     if series.n and not series.usable.any():
         raise DataError(
-            f"{series.name}: no usable samples among {series.n}: all are NaN, infinite or absurdly large"
+            f"no usable samples among {series.n}: all are NaN, infinite or absurdly large",
+            place=series.name,
         )
     curve = allan.allan_curve(series, **arguments)
     low, high = curve.confidence_interval(level)

@@ -1,13 +1,10 @@
 """``imucal calibrate``: bias, scale, misalignment and g-sensitivity from a log of rests and turns."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from imucal.cli import options_for
 from imucal.cli._printing import (
     as_typed,
     can_print,
@@ -26,7 +23,7 @@ from imucal.cli.log_request import LogRequest
 from imucal.cli.options import OUTPUT, Command, context_flag, flag, log_options, option, unwrapped
 from imucal.cli.param_types import ANGLE, DURATION, PATH, Number
 from imucal.cli.simulate import log_to_write
-from imucal.errors import ChoiceError, DataError
+from imucal.errors import ChoiceError, DataError, Fix, ImucalError
 from imucal.grading import remedy
 from imucal.printable import printable_json
 from imucal.recording import AXES, Sensor
@@ -142,7 +139,7 @@ def command(
         check_folder(folder)
     report = _noise_report(noise) if noise else None
     recording = _read(request)
-    with progress("calibrating"), _with_options():
+    with progress("calibrating"):
         found = calibrate(
             recording, report, latitude, height, gravity,
             rest_at_least=rest_at_least, in_hand=in_hand, gyro=not no_gyro, frame=frame,
@@ -166,11 +163,16 @@ def _read(request: LogRequest) -> "Recording":
     try:
         return request.read()
     except ChoiceError as error:
-        hint = options_for(str(error))
-        options = [f"--{s.short}-unit count" for s in Sensor if f"--{s.short}-unit" in hint]
-        if not options:
-            raise
-        raise ChoiceError(f"{error}; for raw counts type {' '.join(options)}") from error
+        raise _with_counts(error) from error
+
+
+def _with_counts(error: ImucalError) -> ImucalError:
+    units = {f"{sensor.short}_unit" for sensor in Sensor}
+    asked = [fix.argument for fix in error.fixes if fix.argument in units]
+    counts = [Fix("give the unit count for raw counts", argument, "count") for argument in asked]
+    other = error.with_fixes(*counts)
+    other.also = tuple(map(_with_counts, other.also))
+    return other
 
 
 def _noise_report(path: Path) -> "Report":
@@ -178,19 +180,6 @@ def _noise_report(path: Path) -> "Report":
     report = read_report(path)
     refuse(report.verdict, str(path), "nothing was calibrated", remedy=remedy(report.all_findings))
     return report
-
-
-@contextmanager
-def _with_options() -> Iterator[None]:
-    """Add the option to use to the message about a log that can't be calibrated."""
-    try:
-        yield
-    except DataError as error:
-        if not error.remedy:
-            raise
-        name, *value = error.remedy
-        typed = " ".join([f"--{name.replace('_', '-')}", *value])
-        raise DataError(f"{error}; try {typed}") from error
 
 
 def _print_table(found: "Calibration") -> None:

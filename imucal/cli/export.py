@@ -37,7 +37,7 @@ from imucal.prediction.filter_numbers import STEP_S
 from imucal.recording import Sensor
 from imucal.remote.addresses import shown as shown_address
 from imucal.report import exports
-from imucal.report.exports.config_numbers import INFLATABLE, vague_axes
+from imucal.report.exports.config_numbers import INFLATABLE, AxisPolicy, Basis, vague_axes
 from imucal.report.exports.target import name_key
 from imucal.report.json_file import load
 from imucal.report.result import Report
@@ -144,7 +144,7 @@ number is missing, 5 file not writable.
     "axis_policy",
     group=NUMBERS,
     metavar="NAME",
-    type=click.Choice(get_args(exports.AxisPolicy)),
+    type=click.Choice(get_args(AxisPolicy)),
     default="worst",
     show_default=True,
     help="One number for three axes: worst, rms, x, y or z.",
@@ -178,7 +178,7 @@ def command(
     *,
     targets: tuple[str, ...],
     out: str | None,
-    axis_policy: exports.AxisPolicy,
+    axis_policy: AxisPolicy,
     as_fitted: bool,
     coast_s: float | None,
     inflate: dict[str, float],
@@ -292,7 +292,7 @@ def _names(asked: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(target.name for target in found.values()))
 
 
-def _remarks(report: Report, numbers: exports.Basis) -> Iterator[str]:
+def _remarks(report: Report, numbers: Basis) -> Iterator[str]:
     """Yield remarks on the kind of the numbers, on bounds, and on sensors that the files lack."""
     if warned := dict.fromkeys(
         f.text for f in report.all_findings if f.code in {"unit-given", "unit-suspect"}

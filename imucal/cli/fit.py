@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from imucal.cli._fixes import option_of
 from imucal.cli._printing import as_typed, echo, name_of_log, print_findings, print_note, refuse, width
 from imucal.cli.context import is_set, misuse
 from imucal.cli.log_request import LogRequest
@@ -26,7 +27,7 @@ from imucal.cli.options import (
 )
 from imucal.cli.param_types import PATH
 from imucal.fitting import METHODS
-from imucal.grading import remedy, unit_option
+from imucal.grading import remedy, unit_fix
 from imucal.printable import printable_json
 
 if TYPE_CHECKING:
@@ -150,8 +151,8 @@ def _next_step(report: "Report", folder: Path) -> str:
 
     export = f"imucal export {as_typed(folder)} --to kalibr (or vins, px4, …, all)"
     reading = report.settings.get("reading")
-    if option := unit_option(report.all_findings, reading if isinstance(reading, Mapping) else {}):
-        return f"Next: run again with {option}, because the unit looks wrong"
+    if fix := unit_fix(report.all_findings, reading if isinstance(reading, Mapping) else {}):
+        return f"Next: run again with {option_of(fix)}, because the unit looks wrong"
     if given := [f.axis for f in report.all_findings if f.code == "unit-given"]:
         options = " and ".join(f"--{axis}-unit" for axis in given)
         return f"Next: run again without {options} if the log's own unit is right; if not, {export}"

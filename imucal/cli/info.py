@@ -6,7 +6,7 @@ from typing import Any, TypeAlias
 
 import click
 
-from imucal.cli import options_for
+from imucal.cli._fixes import options_for
 from imucal.cli._printing import (
     BYTES,
     FULL,
@@ -116,7 +116,7 @@ def _read_topics(log: str, contents: LogContents, reading: dict[str, Any]) -> di
             try:
                 found[topic.name] = logs.named(read(*logs.paths, topic=named, **reading))
             except ImucalError as error:
-                found[topic.name] = logs.with_urls(str(error))
+                found[topic.name] = str(logs.with_urls(error))
     return found
 
 
@@ -241,7 +241,7 @@ def _lines_of_log(contents: LogContents, found: dict[str, Reading], *, looked: b
 
 def _what_to_give(contents: LogContents) -> str:
     """Return advice for a log without a readable topic."""
-    hint = next(filter(None, (options_for(topic.note) for topic in contents.topics)), "")
+    hint = next(filter(None, (options_for(topic.fixes) for topic in contents.topics)), "")
     wanted = f"No samples can be read this way; give imucal fit {hint}."
     return wanted if hint else "Found no gyroscope or accelerometer."
 

@@ -106,10 +106,10 @@ def fit_of_curve(series: AxisSeries, first: NoiseFit, temperature: FloatArray | 
         shown = np.count_nonzero(keep)
         if shown < _MIN_POINTS:
             msg = (
-                f"{series.name}: an output filter or lines dominate the Allan variance; found {shown} "
+                f"an output filter or lines dominate the Allan variance; found {shown} "
                 f"averaging times that show the noise, expected at least {_MIN_POINTS}; record for longer"
             )
-            raise DataError(msg)
+            raise DataError(msg, place=series.name)
         avar = (curve.avar * share)[keep]
         curve = replace(curve, tau=curve.tau[keep], m=curve.m[keep], avar=avar, edf=curve.edf[keep])
     settings = FitSettings(model=str(first.model), method="gmwm", level=first.level)

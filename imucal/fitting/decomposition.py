@@ -107,17 +107,17 @@ def decompose(
         msg = f"{series.name}: samples at {series.rate_hz:.6g} Hz, but the fit is for {fit.rate_hz:.6g} Hz"
         raise ValueError(msg)
     if not any(term.coefficient for term in model.terms if term.symbol != "R"):
-        msg = f"{series.name}: the model has no noise, so there is nothing to separate; fit a longer record"
-        raise DataError(msg)
+        msg = "the model has no noise, so there is nothing to separate; fit a longer record"
+        raise DataError(msg, place=series.name)
     good = _good(series, clean=clean)
     if good.n < 2:
-        raise DataError(f"{series.name}: a decomposition needs at least 2 samples, got {good.n}")
+        raise DataError(f"a decomposition needs at least 2 samples, got {good.n}", place=series.name)
     samples, seen = np.zeros(good.clock.grid_size), np.zeros(good.clock.grid_size, dtype=bool)
     samples[good.clock.grid()], seen[good.clock.grid()] = good.samples, True
     try:
         components = smooth(model, samples, seen, series.tau0, progress=progress)
     except (ArgumentError, DataError) as error:
-        raise type(error)(f"{series.name}: {error}") from error
+        raise error.within(series.name) from error
     return Decomposition(
         series=series,
         model=model,
@@ -135,8 +135,8 @@ def _good(series: AxisSeries, *, clean: bool) -> AxisSeries:
         good = good.keeping(~find_spikes(good.samples)[0])
     if good.n > 1 and good.clock.grid_size > _SPARSE * good.n:
         msg = (
-            f"{series.name}: {good.n} samples in {good.duration_s:.4g} s at {good.rate_hz:.6g} Hz are mostly "
+            f"{good.n} samples in {good.duration_s:.4g} s at {good.rate_hz:.6g} Hz are mostly "
             "gaps; use a part of the record with fewer gaps"
         )
-        raise DataError(msg)
+        raise DataError(msg, place=series.name)
     return good

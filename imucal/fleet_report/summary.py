@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from imucal._version import __version__
 from imucal.arguments import takes
 from imucal.display import Displayed
-from imucal.errors import ChoiceError, DataError
+from imucal.errors import ChoiceError, DataError, Fix
 from imucal.findings import Finding
 from imucal.fitting.homogeneity import symbol_of
 from imucal.fleet.population import FALSE_SHARE, UnitValue, adjusted
@@ -253,7 +253,8 @@ def choose_model(folder: str | Path, names: Sequence[str], asked: str | None) ->
         return found[0]
     choices = ", ".join(map(repr, names)) or "none: no log has a unit label"
     what = "no model name" if asked is None else repr(asked)
-    raise ChoiceError(f"{folder}: found {what}, expected one of the sensor models: {choices}")
+    text = f"found {what}, expected one of the sensor models: {choices}"
+    raise ChoiceError(text, place=folder, fix=Fix("", "model", "NAME"))
 
 
 def labels_to_type(paths: Sequence[str]) -> str:

@@ -10,6 +10,7 @@ from imucal.clock import Clock
 from imucal.errors import ChoiceError
 from imucal.findings import Finding
 from imucal.readers.clocks.period import RATES
+from imucal.readers.fixes import GIVE_RATE
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import Unscaled, find_units
 from imucal.readers.store import Room
@@ -41,7 +42,7 @@ class RecordingBuilder:
             self.decisions.append((what, how))
 
     def add(self, samples: Sequence[Unscaled], *, where: str = "") -> None:
-        """Add sensors in SI; error messages start with `where`, or with the path if it is empty.
+        """Add sensors in SI; `where` is the place in errors, by default the path.
 
         Raises ChoiceError if a unit is unknown or unsuitable, or if the measured rate is implausible.
         """
@@ -50,8 +51,10 @@ class RecordingBuilder:
             usual = RATES[0] * 0.98 <= clock.rate_hz <= RATES[1] * 1.02
             if not given and clock.jitter_s is not None and not usual:
                 raise ChoiceError(
-                    f"{where or self.path}: {clock.source} gives {clock.rate_hz:.6g} Hz; expected the rate "
-                    f"of an IMU, {RATES[0]:g} Hz to {RATES[1]:g} Hz; give the sampling rate"
+                    f"{clock.source} gives {clock.rate_hz:.6g} Hz; expected the rate of an IMU, "
+                    f"{RATES[0]:g} Hz to {RATES[1]:g} Hz",
+                    place=where or self.path,
+                    fix=GIVE_RATE,
                 )
         units = find_units(where or self.path, self.options, samples, self.findings)
         for entry in samples:

@@ -7,15 +7,21 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
-from imucal.errors import ImucalError, ReadError
+from imucal.errors import Fix, ImucalError, ReadError
 from imucal.findings import Finding
 
 Refusal = TypeVar("Refusal", bound=ImucalError)
 
 
-def refused(where: object, text: str, kind: type[Refusal] = ReadError) -> Refusal:  # type: ignore[assignment]
-    """Return the error for a log that can't be read; `text` contains the problem and advice."""
-    return kind(f"{where}: {text}")
+def refused(
+    where: object,
+    problem: str,
+    kind: type[Refusal] = ReadError,  # type: ignore[assignment]
+    *fixes: Fix,
+    code: str = "",
+) -> Refusal:
+    """Return the error for a log that can't be read; one of the fixes is enough."""
+    return kind(problem, place=where, fixes=fixes, code=code)
 
 
 @contextmanager

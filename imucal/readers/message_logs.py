@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from imucal.errors import ChoiceError, DataError, ReadError
@@ -66,9 +66,10 @@ def _naming(path: Path) -> Iterator[None]:
     try:
         yield
     except ReadError as error:
-        if str(error).startswith(str(path)):
+        # The place may be a file in a folder.
+        if error.place.startswith(str(path)):
             raise
-        raise type(error)(f"{path}: {error}") from error
+        raise error.within(path) from error
 
 
 def describe_logs(
@@ -118,28 +119,26 @@ def describe_topics(log: OpenLog, options: ReadOptions) -> tuple[TopicContents, 
 
 
 def _contents(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> TopicContents:
-    sensors: tuple[Sensor, ...] = ()
-    note = topic.reason
-    if topic.sensors and topic.count != 0:
-        try:
-            plan, alive = plan_of(containers, topic, options)
-        except ReadError as error:
-            alive, note = frozenset(), str(error).removeprefix(f"topic {topic.name}: ")
-        else:
-            silent = [one.triad.sensor for one in plan.sensors if one.triad.sensor not in alive]
-            note = " and ".join(silent) + " constant: no data" if silent else ""
-        sensors = tuple(sensor for sensor in topic.sensors if sensor in alive)
-        note = note or ("read only if it is named" if topic.plain else "")
-    return TopicContents(
+    contents = TopicContents(
         name=topic.name,
         type=topic.type,
         count=topic.count,
         rate_hz=topic.rate_hz,
         duration_s=topic.duration_s,
-        sensors=sensors,
-        note=note,
         fields=tuple(map(str, topic.leaves[:_MAX_FIELDS])),
     )
+    if not topic.sensors or topic.count == 0:
+        return contents.refused(ReadError(topic.reason, fixes=topic.fixes)) if topic.reason else contents
+    try:
+        plan, alive = plan_of(containers, topic, options)
+    except ReadError as error:
+        return contents.refused(error)
+    silent = [one.triad.sensor for one in plan.sensors if one.triad.sensor not in alive]
+    note = "read only if it is named" if topic.plain else ""
+    if silent:
+        note = " and ".join(silent) + " constant: no data"
+    sensors = tuple(sensor for sensor in topic.sensors if sensor in alive)
+    return replace(contents, sensors=sensors, note=note)
 
 
 def _live(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> frozenset[Sensor]:

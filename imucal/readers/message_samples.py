@@ -14,6 +14,7 @@ from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.clocks import LOG_TIME
 from imucal.readers.containers import Container
+from imucal.readers.fixes import COLUMNS
 from imucal.readers.messages import Choice, Column, Topic, plan_of
 from imucal.readers.messages.topics import HELD_ROWS, cells_of
 from imucal.readers.messages.trees import TIME
@@ -85,8 +86,8 @@ def _row_column(topic: Topic, sensor: SensorPlan) -> list[int]:
 
 
 def _of_other_rows(topic: Topic) -> ChoiceError:
-    msg = f"{topic.where}: messages are selected by one number for both sensors, such as @id:1"
-    return ChoiceError(msg)
+    text = "messages are selected by one number for both sensors, such as @id:1"
+    return ChoiceError(text, place=topic.where, fix=COLUMNS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,8 +126,8 @@ class _Values:
         try:
             return join_rows([[row] for row in rows], limit=limit)
         except ValueError as error:
-            msg = f"{self.topic.where}: the columns of the {sensor.triad.sensor} are not numbers: {error}"
-            raise ChoiceError(msg) from error
+            text = f"the columns of the {sensor.triad.sensor} are not numbers: {error}"
+            raise ChoiceError(text, place=self.topic.where, fix=COLUMNS) from error
 
     def times(self, time: TimeChoice | None) -> Sequence[Numbers]:
         if time is None or time is LOG:

@@ -35,13 +35,18 @@ class LocalLogs:
     copies: tuple["LocalCopy", ...] = ()
 
     def with_urls(self, value: Value) -> Value:
-        """Replace the paths of copies by URLs without secrets in the texts of a value."""
+        """Replace the paths of copies by URLs without secrets in the texts of a value, or of an error."""
         replaced: Any = value
         if type(value) is str:
             for copy in self.copies:
                 replaced = replaced.replace(str(copy.path), copy.log.shown)
         elif isinstance(value, tuple):
             replaced = tuple(map(self.with_urls, value))
+        elif isinstance(value, ImucalError):
+            replaced = value.at(self.with_urls(value.place))
+            replaced.problem = self.with_urls(value.problem)
+            replaced.fixes = self.with_urls(value.fixes)
+            replaced.also = self.with_urls(value.also)
         elif is_dataclass(value):
             replaced = replace(
                 replaced, **{part.name: self.with_urls(getattr(value, part.name)) for part in fields(value)}
@@ -70,10 +75,7 @@ class LocalLogs:
         try:
             yield
         except ImucalError as error:
-            text = self.with_urls(str(error))
-            if text == str(error):
-                raise
-            raise type(error)(text) from error
+            raise self.with_urls(error) from error
 
 
 @contextmanager

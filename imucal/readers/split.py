@@ -7,7 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from imucal.clock import Clock, Segment
-from imucal.errors import ChoiceError
+from imucal.errors import ChoiceError, Fix
 from imucal.findings import Finding
 from imucal.readers.containers.rosbag2_folder import natural
 from imucal.readers.formats import detect, load
@@ -128,9 +128,15 @@ def _refusal(paths: Sequence[Path], parts: Sequence[Recording], problem: str) ->
     lines += [f"  and {len(paths) - _MAX_LISTED} more"] if len(paths) > _MAX_LISTED else []
     listed = "\n".join(lines)
     return ChoiceError(
-        f"{paths[0]}: {len(paths)} logs do not look like one recording: {problem}; "
-        f"found\n{listed}\nexpected parts that each continue the one before; read one log at a time, such "
-        f"as {paths[0]}, or state that they are parts of one recording"
+        f"{len(paths)} logs do not look like one recording: {problem}; found\n{listed}",
+        place=paths[0],
+        fixes=[
+            Fix(
+                "expected parts that each continue the one before; read one log at a time, such as "
+                f"{paths[0]}"
+            ),
+            Fix("state that they are parts of one recording", "join"),
+        ],
     )
 
 
@@ -159,16 +165,16 @@ def _refuse_others(paths: Sequence[Path], parts: Sequence[Recording]) -> None:
     if any(row != names[0] for row in names):
         rows = zip(paths, names, strict=True)
         found = "; ".join(f"{path}: {', '.join(row)}" for path, row in rows)
-        msg = f"the logs have different axes ({found}); expected one recording; read one log at a time"
-        raise ChoiceError(msg)
+        text = f"the logs have different axes ({found}); expected one recording"
+        raise ChoiceError(text, fix=Fix("read one log at a time"))
     for path, part in zip(paths, parts, strict=True):
         for series, first in zip(part.series, parts[0].series, strict=True):
             if abs(series.rate_hz / first.rate_hz - 1) > _SAME_RATE:
-                msg = (
-                    f"{path}: its rate is {series.rate_hz:.6g} Hz, and {paths[0]} has {first.rate_hz:.6g} "
-                    "Hz; expected one recording; read one log at a time"
+                text = (
+                    f"its rate is {series.rate_hz:.6g} Hz, and {paths[0]} has {first.rate_hz:.6g} Hz; "
+                    "expected one recording"
                 )
-                raise ChoiceError(msg)
+                raise ChoiceError(text, place=path, fix=Fix("read one log at a time"))
 
 
 def _joined(paths: Sequence[Path], parts: Sequence[Recording], problem: str, limit: int) -> Recording:

@@ -72,13 +72,13 @@ def split_web(url: str) -> SplitResult:
     except ValueError as error:
         # The parts are unknown, so a password can't be removed.
         place = re.sub(r"//[^/]*@", "//", url).partition("?")[0]
-        msg = f"{place}: not a valid web address ({error}); expected https://host/path"
-        raise ReadError(msg) from error
+        text = f"not a valid web address ({error}); expected https://host/path"
+        raise ReadError(text, place=place) from error
 
 
 def refused(url: str, text: str) -> ReadError:
     """Return the error for a URL that can't be read."""
-    return ReadError(f"{shown(url)}: {text}")
+    return ReadError(text, place=shown(url))
 
 
 def path_of(url: str) -> str:

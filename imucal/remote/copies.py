@@ -126,8 +126,8 @@ def cache_folder() -> Path:
             raise PermissionError(13, os.strerror(13))
     except OSError as error:
         why = error.strerror or error
-        msg = f"{root}: the cache of remote logs can't be used: {why}; set {FOLDER} to a folder that you own"
-        raise ReadError(msg) from error
+        text = f"the cache of remote logs can't be used: {why}; set {FOLDER} to a folder that you own"
+        raise ReadError(text, place=root) from error
     return root.resolve()
 
 
@@ -160,11 +160,11 @@ def make_room(root: Path, wanted: int, *, most: int) -> None:
             total -= size
     if _lacks(root, wanted):
         free = shutil.disk_usage(root).free
-        msg = (
-            f"{root}: no space for a remote log of {wanted / 1e9:.3g} GB: {free / 1e9:.3g} GB are free; "
+        text = (
+            f"no space for a remote log of {wanted / 1e9:.3g} GB: {free / 1e9:.3g} GB are free; "
             f"free some space, or set {FOLDER} to a folder on another disk"
         )
-        raise ReadError(msg)
+        raise ReadError(text, place=root)
 
 
 def _lacks(root: Path, wanted: int) -> bool:
@@ -266,11 +266,11 @@ def _make(log: RemoteLog, entry: Entry, progress: Progress | None) -> None:
                 os.fsync(out.fileno())
         entry.part.replace(entry.whole)
     except OSError as error:
-        msg = (
-            f"{log.shown}: can't write a copy to {entry.root}: {error.strerror or error}; free some space, "
+        text = (
+            f"can't write a copy to {entry.root}: {error.strerror or error}; free some space, "
             f"or set {FOLDER} to a folder on another disk"
         )
-        raise ReadError(msg) from error
+        raise ReadError(text, place=log.shown) from error
     finally:
         shutil.rmtree(entry.part, ignore_errors=True)
 

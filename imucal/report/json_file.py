@@ -17,7 +17,7 @@ from imucal.allan.dct import Spectrum
 from imucal.arguments import takes
 from imucal.arrays import FloatArray
 from imucal.clock import Gap
-from imucal.errors import ReadError
+from imucal.errors import Fix, ReadError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import (
     Candidate,
@@ -125,7 +125,8 @@ def _segments(node: Node) -> Segments:
 
 layout_of(Quantity, "value low high unit")
 layout_of(Interval, "value low high", low=OR_NAN, high=OR_INFINITE)
-_FINDING = layout_of(Finding, "level code axis text advice keep_s")
+layout_of(Fix, "text argument value")
+_FINDING = layout_of(Finding, "level code axis text advice keep_s fix?")
 layout_of(ReadRange, "from_s duration_s start_ns end_ns")
 layout_of(LogFileInfo, "path size_bytes blake2b etag?")
 _SOURCE = layout_of(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import BoolArray, FloatArray
+from imucal.errors import Fix
 from imucal.evidence import GYRO_STEPS, MAX_GYRO_NOISE, STEP_TOLERANCE, is_gravity_per_sample
 from imucal.findings import Finding, Level
 from imucal.recording import Sensor, Temperature
@@ -292,24 +293,28 @@ def check_accelerometer_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]
             "Run again with --accel-unit m/s, and with --gyro-unit rad or deg; all numbers scale with the "
             "unit."
         )
-        return (Finding("warning", "unit-suspect", text, advice, axis="accel"),)
+        fix = Fix("", "accel_unit", "m/s")
+        return (Finding("warning", "unit-suspect", text, advice, axis="accel", fix=fix),)
     if length < _NO_GRAVITY:
         text = f"The accelerometer shows no gravity: |a| is {length:.2g} m/s^2."
         advice = "If a driver removes gravity, log the raw acceleration: this has the noise of a filter."
         return (Finding("warning", "no-gravity", text, advice, axis="accel"),)
     guess, unit = _accelerometer_guess(accel, length)
     text = f"|a| is {length:.4g} at rest, expected {G0:.1f} in m/s^2: {guess}."
-    advice = _unit_advice(Sensor.ACCELEROMETER, unit)
-    return (Finding("warning", "unit-suspect", text, advice, axis="accel"),)
+    return (_unit_suspect(Sensor.ACCELEROMETER, text, unit),)
 
 
-def _unit_advice(sensor: Sensor, unit: str) -> str:
-    """Return advice for data that seem to be in `unit`: a unit, ``count``, or empty."""
+def _unit_suspect(sensor: Sensor, text: str, unit: str) -> Finding:
+    """Return the finding for data that seem to be in `unit`: a unit, ``count``, or empty."""
     scales = "all its numbers scale with the unit."
-    if not unit:
-        return f"Give the {sensor}'s unit when reading; {scales}"
-    option = f"scale X, in {sensor.unit} per count" if unit == "count" else f"unit {unit}"
-    return f"Run again with --{sensor.short}-{option}; {scales}"
+    advice, fix = f"Give the {sensor}'s unit when reading; {scales}", None
+    if unit == "count":
+        advice = f"Run again with --{sensor.short}-scale X, in {sensor.unit} per count; {scales}"
+        fix = Fix("", f"{sensor.short}_scale", "X")
+    elif unit:
+        advice = f"Run again with --{sensor.short}-unit {unit}; {scales}"
+        fix = Fix("", f"{sensor.short}_unit", unit)
+    return Finding("warning", "unit-suspect", text, advice, axis=sensor.short, fix=fix)
 
 
 def _accelerometer_guess(accel: Sequence[Profile], length: float) -> tuple[str, str]:
@@ -336,8 +341,7 @@ def check_gyroscope_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     if reason is None:
         return ()
     text = f"The gyroscope may not be in rad/s: {reason}."
-    advice = _unit_advice(Sensor.GYROSCOPE, "count" if _are_counts(gyro) else "deg/s")
-    return (Finding("warning", "unit-suspect", text, advice, axis="gyro"),)
+    return (_unit_suspect(Sensor.GYROSCOPE, text, "count" if _are_counts(gyro) else "deg/s"),)
 
 
 def _gyroscope_reason(gyro: Sequence[Profile]) -> str | None:

@@ -274,7 +274,7 @@ def test_a_log_held_in_a_hand_all_the_time_cannot_be_calibrated() -> None:
 
 @pytest.mark.parametrize("kind", ["g", "short", "hand"])
 def test_an_error_names_the_argument_that_helps(kind: str) -> None:
-    """`remedy` survives pickling, as between processes; with the argument the log is calibrated."""
+    """The fix survives pickling, as between processes; with the argument the log is calibrated."""
     rng = np.random.default_rng(8020)
     one = log(Truth.draw(rng), NOISE, attitudes(14, rng), rng, rest_s=1.0 if kind == "short" else 4.0)
     if kind == "g":
@@ -290,13 +290,13 @@ def test_an_error_names_the_argument_that_helps(kind: str) -> None:
         calibrate(one.recording())
     error = pickle.loads(pickle.dumps(caught.value))  # noqa: S301 - our own object
     assert str(error) == str(caught.value)
-    helps: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
+    helps: dict[str, tuple[tuple[str, str], dict[str, Any]]] = {
         "g": (("accel_unit", "g"), {}),
         "short": (("rest_at_least", "0.4s"), {"rest_at_least": "0.4s"}),
-        "hand": (("in_hand",), {"in_hand": True}),
+        "hand": (("in_hand", ""), {"in_hand": True}),
     }
     remedy, arguments = helps[kind]
-    assert error.remedy == remedy
+    assert remedy in [(fix.argument, fix.value) for fix in error.fixes]
     if arguments:
         assert len(calibrate(one.recording(), **arguments).rests) >= 12
 

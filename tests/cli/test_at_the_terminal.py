@@ -63,7 +63,7 @@ def test_errors_are_json_where_json_was_asked_for(
     """JSON is on standard output, a sentence on standard error."""
     done = run(*arguments, cwd=tmp_path)
     document = json.loads(done.stdout)
-    assert document["schema"] == "imucal/error/1"
+    assert document["schema"] == "imucal/error/2"
     assert (document["error"]["type"], document["error"]["exit_code"]) == (kind, code)
     assert done.returncode == code
     assert document["error"]["message"] in done.stderr

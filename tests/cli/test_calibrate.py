@@ -221,8 +221,8 @@ def test_a_log_in_g_is_refused_with_the_option_that_helps(tmp_path: Path) -> Non
     arguments = ("calibrate", "g.csv", "--rate", "100", *PLACE, "-o", "out")
     done = run(*arguments, "--accel-unit", "m/s^2", cwd=tmp_path)
     assert done.returncode == 4
-    assert "its unit is g; try --accel-unit g\n" in done.stderr
-    option = done.stderr.strip().rpartition("try ")[2].split()
+    assert "its unit is g\nUse --accel-unit g.\n" in done.stderr
+    option = done.stderr.strip().removesuffix(".").rpartition("Use ")[2].split()
     right = run(*arguments, *option, cwd=tmp_path)
     assert right.returncode == 0, right.stderr
     found = load_intrinsics(tmp_path / "out")
@@ -238,8 +238,9 @@ def test_short_rests_are_refused_with_the_option_that_helps(tmp_path: Path) -> N
     write_log(one.recording(), tmp_path / "short.csv")
     done = run("calibrate", "short.csv", *PLACE, cwd=tmp_path)
     assert done.returncode == 4
-    assert "14 rests last 0.4 s or longer; try --rest-at-least 0.4s\n" in done.stderr
-    option = done.stderr.strip().rpartition("try ")[2].split()
+    assert "14 rests last 0.4 s or longer; put the IMU down" in done.stderr
+    assert done.stderr.endswith("\nUse --rest-at-least 0.4s.\n")
+    option = done.stderr.strip().removesuffix(".").rpartition("Use ")[2].split()
     again = run("calibrate", "short.csv", *PLACE, *option, cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     assert "info [short]: 14 rests of 14 last less than 2 s" in again.stderr
@@ -256,7 +257,8 @@ def test_rests_in_a_hand_are_refused_with_the_option_that_helps(tmp_path: Path) 
     write_log(replace(one, gyroscope=gyroscope).recording(), tmp_path / "hand.csv")
     done = run("calibrate", "hand.csv", *PLACE, cwd=tmp_path)
     assert done.returncode == 4
-    assert "14 rests have the tremor of a hand; try --in-hand\n" in done.stderr
+    assert "14 rests have the tremor of a hand; put the IMU down" in done.stderr
+    assert done.stderr.endswith("\nUse --in-hand.\n")
     again = run("calibrate", "hand.csv", *PLACE, "--in-hand", cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     assert "info [in-hand]" in again.stderr
@@ -269,9 +271,10 @@ def test_raw_counts_are_calibrated(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "raw.csv", counts, delimiter=",", header="gx,gy,gz,ax,ay,az", comments="", fmt="%d")
     unknown = run("calibrate", "raw.csv", "--rate", "100", cwd=tmp_path)
     assert unknown.returncode == 3
-    typed = re.search(r"for raw counts type (.*)", unknown.stderr)
-    assert typed is not None
-    raw = ("raw.csv", "--rate", "100", *typed[1].split())
+    assert "give the unit count for raw counts" in unknown.stderr
+    typed = re.findall(r"--(?:gyro|accel)-unit count", unknown.stderr)
+    assert len(typed) == 2
+    raw = ("raw.csv", "--rate", "100", *" ".join(typed).split())
     done = run("calibrate", *raw, *PLACE, "-o", "out", "-q", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "per m/s²" in done.stdout

@@ -21,8 +21,8 @@ from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS, BiasInstability, GaussMarkov
 from imucal.prediction import filter_numbers
 from imucal.recording import Axis, Sensor, Source
-from imucal.report.exports import TARGETS, AxisPolicy, export, find_target, render
-from imucal.report.exports.config_numbers import ExportOptions, Numbers, flicker_bank
+from imucal.report.exports import TARGETS, export, find_target, render
+from imucal.report.exports.config_numbers import AxisPolicy, ExportOptions, Numbers, flicker_bank
 from imucal.report.exports.target import comment, decimal, quoted, real
 from imucal.report.json_file import from_document, to_document
 from imucal.report.json_node import dumps

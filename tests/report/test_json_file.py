@@ -13,7 +13,7 @@ import numpy.testing as npt
 import pytest
 
 import imucal
-from imucal.errors import ReadError
+from imucal.errors import Fix, ReadError
 from imucal.findings import Finding
 from imucal.recording import LogFileInfo, Source
 from imucal.report.json_file import axis_document, from_document, load, schema, signal_document, to_document
@@ -94,9 +94,22 @@ def _fitted_report() -> Report:
     return imucal.characterize(imucal.Recording(source=source, series=(series,)), settings)
 
 
+def _report_with_fix() -> Report:
+    """Return a report with a finding about a unit."""
+    fix = Fix("", "gyro_unit", "deg/s")
+    return replace(small_report(), findings=(Finding("warning", "unit-suspect", "Odd.", fix=fix),))
+
+
+def test_the_fix_of_a_finding_is_read_back() -> None:
+    """Commands that load a report name the same option."""
+    report = _report_with_fix()
+    assert from_document(json.loads(dumps(to_document(report)))).findings == report.findings
+
+
 def test_the_writer_and_the_schema_have_the_same_keys() -> None:
     """Each written key is in the schema and in docs/json.md, and each key of the schema is written."""
-    documents = [to_document(make()) for make in (consumer_report, small_report, _fitted_report)]
+    makers = (consumer_report, small_report, _fitted_report, _report_with_fix)
+    documents = [to_document(make()) for make in makers]
     strict = jsonschema.Draft202012Validator(_strict(schema()))
     for document in documents:
         strict.validate(document)

@@ -99,11 +99,8 @@ def scale_of(series: AxisSeries) -> float:
     """
     samples = series.samples
     if samples.size < _MIN_SAMPLES:
-        msg = (
-            f"{series.name}: {samples.size} samples, expected at least {_MIN_SAMPLES} for a noise model; "
-            "record for longer"
-        )
-        raise DataError(msg)
+        msg = f"{samples.size} samples, expected at least {_MIN_SAMPLES} for a noise model; record for longer"
+        raise DataError(msg, place=series.name)
     size = size_of_steps(series)
     return float(2.0 ** np.round(np.log2(size)))
 
@@ -121,10 +118,10 @@ def size_of_steps(series: AxisSeries) -> float:
         raise no_noise(series)
     if bends <= max(_STRAIGHT * size / largest, 8 * np.finfo(np.float64).eps):
         msg = (
-            f"{series.name}: all {samples.size} samples are on one straight line, expected noise; check that "
+            f"all {samples.size} samples are on one straight line, expected noise; check that "
             "the column holds a measurement and not a counter"
         )
-        raise DataError(msg)
+        raise DataError(msg, place=series.name)
     refuse_tiny(series)
     return size
 
@@ -132,8 +129,9 @@ def size_of_steps(series: AxisSeries) -> float:
 def no_noise(series: AxisSeries) -> DataError:
     """Return the error of an axis that never changes."""
     return DataError(
-        f"{series.name}: all {series.n} samples are equal, expected noise; "
-        "check that the sensor was on and that its resolution shows its noise"
+        f"all {series.n} samples are equal, expected noise; "
+        "check that the sensor was on and that its resolution shows its noise",
+        place=series.name,
     )
 
 
@@ -160,10 +158,10 @@ def make_blocks(
     runs, lost = _runs(series)
     if not runs:
         msg = (
-            f"{series.name}: no run of {_MIN_SAMPLES} samples without a long gap in {series.n} samples; "
+            f"no run of {_MIN_SAMPLES} samples without a long gap in {series.n} samples; "
             "expected a recording with few gaps"
         )
-        raise DataError(msg)
+        raise DataError(msg, place=series.name)
     blocks: list[Block] = []
     lines: tuple[Line, ...] = ()
     longest = 0

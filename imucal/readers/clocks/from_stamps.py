@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, blocks, median
 from imucal.clock import Clock, Segment
-from imucal.errors import ChoiceError, DataError
+from imucal.errors import ChoiceError, DataError, Fix
 from imucal.findings import Finding
 from imucal.frozen import frozen_alone
 from imucal.readers.clocks.changes import rate_change
@@ -22,6 +22,7 @@ from imucal.readers.clocks.placing import (
     fit_period,
     step_statistics,
 )
+from imucal.readers.fixes import GIVE_RATE
 from imucal.readers.store import Room, count, equal, is_constant
 from imucal.recording import gap_findings
 
@@ -222,7 +223,7 @@ def clock_from_stamps(
 ) -> ClockReading:
     """Return the clock of samples from their stamps in ns, int64, shape (n,), in the order of the log.
 
-    Errors start with `where`. Log times, shape (n,), replace stamps that are zero, constant or not
+    `where` is the place in errors. Log times, shape (n,), replace stamps that are zero, constant or not
     increasing. `rate_hz` overrides the measured rate. `repeated`, shape (n,), marks samples to drop because
     they repeat the previous stamp *and* values.
 
@@ -234,7 +235,7 @@ def clock_from_stamps(
     except (ChoiceError, DataError) as error:
         if not where:
             raise
-        raise type(error)(f"{where}: {error}") from error
+        raise error.within(where) from error
 
 
 class _Stamps:
@@ -265,9 +266,7 @@ class _Stamps:
             clock = Clock.even(n, float(rate_hz))
         else:
             less = "one sample" if n == 1 else f"{n} samples whose time stamps do not increase"
-            raise DataError(
-                f"{less} ({self.source}); expected increasing time stamps; give the sampling rate"
-            )
+            raise DataError(f"{less} ({self.source}); expected increasing time stamps", fix=GIVE_RATE)
         return ClockReading(clock=clock, order=self.order, findings=tuple(self.notes))
 
     def _drop(self, repeated: BoolArray, twice: int) -> None:
@@ -383,7 +382,7 @@ class _Stamps:
             found += ", which is the resolution of float32"
             way = "save the times as float64"
         if rate_hz is None:
-            raise ChoiceError(f"{found}; expected one per sample; {way}, or give the sampling rate")
+            raise ChoiceError(f"{found}; expected one per sample", fixes=[Fix(way), GIVE_RATE])
         advice = f"{way[0].upper()}{way[1:]}."
         text = f"{found[0].upper()}{found[1:]}; they are ignored, so gaps are not found."
         self.notes.append(Finding("warning", "time-unused", text, advice))

@@ -14,6 +14,7 @@ import numpy as np
 from imucal.arrays import FloatArray, IntArray, median, percentile
 from imucal.errors import ChoiceError
 from imucal.frozen import frozen
+from imucal.readers.fixes import GIVE_RATE
 from imucal.readers.store import Room
 
 #: Number of runs examined, and samples in each; shorter logs are examined completely.
@@ -238,7 +239,8 @@ def _two_readings(missing: Period, late: Period) -> ChoiceError:
     batches = f"in batches of about {late.burst}" if late.burst > 1 else "with uneven time stamps"
     return ChoiceError(
         f"the time stamps fit two rates: {missing.rate_hz:.6g} Hz with {share:.0%} of the samples missing, "
-        f"or {late.rate_hz:.6g} Hz {batches}; expected one; give the sampling rate"
+        f"or {late.rate_hz:.6g} Hz {batches}; expected one",
+        fix=GIVE_RATE,
     )
 
 

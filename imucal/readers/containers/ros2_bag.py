@@ -96,8 +96,8 @@ def _open(
         return _ZstdMessages(base) if folder.per_message or base.sample() == _ZSTD else base
     if head.startswith(b"\x89MCAP") or path.name.endswith(".mcap"):
         return mcap_part(folder, McapFile(path))
-    msg = f"{path}: neither SQLite nor MCAP (first bytes {head[:8].hex(' ')}); expected a file of a ROS 2 bag"
-    raise ReadError(msg)
+    found = f"neither SQLite nor MCAP (first bytes {head[:8].hex(' ')})"
+    raise refused(path, f"{found}; expected a file of a ROS 2 bag")
 
 
 def mcap_part(folder: Folder, log: McapFile) -> Container:
@@ -145,8 +145,10 @@ class _Unpacked(_Wrapped):
             super().__init__(open_inner(target))
         except ReadError as error:
             self._folder.cleanup()
-            msg = str(error).replace(str(target), str(path))
-            raise type(error)(f"{msg} (cut off or damaged: {damage})" if damage else msg) from error
+            named = error.at(path)
+            if damage is not None:
+                named.problem += f" (cut off or damaged: {damage})"
+            raise named from error
         self.path, self.size, self.compression = path, size, "zstd, whole file"
         if damage is not None:
             text = f"The file is cut off or damaged: {damage}; the part before was read."

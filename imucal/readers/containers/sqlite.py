@@ -292,4 +292,4 @@ def _refusal(path: Path, error: Exception) -> ReadError:
         advice = "a query takes too long, so the file is damaged or was not written by ROS"
     elif "locked" in str(error):
         advice = "stop the recorder, or copy the bag and read the copy"
-    return ReadError(f"{path}: the SQLite database can't be read: {error}; expected a ROS 2 bag, {advice}")
+    return refused(path, f"the SQLite database can't be read: {error}; expected a ROS 2 bag, {advice}")

@@ -4,8 +4,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from imucal.errors import ChoiceError
+from imucal.errors import ChoiceError, Fix
 from imucal.readers.files import refused
+from imucal.readers.fixes import COLUMNS, TOPIC
 from imucal.readers.messages.topics import Topic
 from imucal.readers.read_options import ReadOptions
 from imucal.recording import Sensor
@@ -45,10 +46,8 @@ def choose(
     if fitting:
         return _among(path, fitting, live)
     if carrying:
-        why = (
-            "no topic carries IMU messages, only vectors without a known meaning; choose one of these topics"
-        )
-        raise refused(path, f"{why}\n{table(carrying)}", ChoiceError)
+        why = "no topic carries IMU messages, only vectors without a known meaning"
+        raise refused(path, why, ChoiceError, _one_of(carrying))
     return [_unnamed(path, topics, options)]
 
 
@@ -58,7 +57,7 @@ def _unnamed(path: Path, topics: Sequence[Topic], options: ReadOptions) -> Choic
         lines = [f"  {topic.name} ({topic.type}): {topic.reason}; found {columns(topic)}" for topic in topics]
         listed = "\n".join(lines[:_MAX_TOPICS]) or "  no topics"
         why = "no topic has the columns in the columns text; found these topics"
-        raise refused(path, f"{why}\n{listed}", ChoiceError)
+        raise refused(path, f"{why}\n{listed}", ChoiceError, COLUMNS)
     unreadable = [topic for topic in topics if topic.reason and topic.count != 0 and _looks_like_imu(topic)]
     if unreadable:
         raise _unreadable(path, unreadable[0])
@@ -66,11 +65,10 @@ def _unnamed(path: Path, topics: Sequence[Topic], options: ReadOptions) -> Choic
     if len(numbers) == len(topics) == 1:
         return Choice(numbers[0], tuple(Sensor), "the only topic")
     listed = table(topics) or "  no topics"
-    way = (
-        "\nif one has samples of an IMU, name it and its columns in a columns text; imucal info -v lists them"
-    )
+    way = "if one has samples of an IMU, name it and its columns in a columns text; imucal info -v lists them"
+    fixes = [Fix(way, "columns", "TEXT")] if numbers else []
     why = "no topic carries a gyroscope or an accelerometer; found"
-    raise refused(path, f"{why}\n{listed}{way if numbers else ''}", ChoiceError)
+    raise refused(path, f"{why}\n{listed}", ChoiceError, *fixes)
 
 
 def columns(topic: Topic) -> str:
@@ -105,21 +103,24 @@ def _looks_like_imu(topic: Topic) -> bool:
 def _unreadable(path: Path, topic: Topic) -> ChoiceError:
     kind, why = topic.type or "unknown", topic.reason or "its messages contain no numbers"
     found = f"; found {columns(topic)}" if topic.columns else ""
-    return ChoiceError(f"{path}: topic {topic.name} of type {kind} can't be read: {why}{found}")
+    return refused(
+        path, f"topic {topic.name} of type {kind} can't be read: {why}{found}", ChoiceError, *topic.fixes
+    )
 
 
 def _named(
     path: Path, topics: Sequence[Topic], options: ReadOptions, live: Callable[[Topic], frozenset[Sensor]]
 ) -> list[Choice]:
     if len(options.topics) > 2:
-        msg = f"{path}: {len(options.topics)} topics are named; expected one, or one for each sensor"
-        raise ChoiceError(msg)
+        named = f"{len(options.topics)} topics are named; expected one, or one for each sensor"
+        raise refused(path, named, ChoiceError, TOPIC)
     found = [_find(path, topics, name) for name in options.topics]
     for topic in found:
         if topic.reason or not topic.columns:
             raise _unreadable(path, topic)
         if topic.count == 0:
-            raise refused(path, f"topic {topic.name} has no messages; found\n{table(topics)}", ChoiceError)
+            empty = f"topic {topic.name} has no messages; found\n{table(topics)}"
+            raise refused(path, empty, ChoiceError, TOPIC)
     if len(found) == 1:
         return [Choice(found[0], found[0].sensors or tuple(Sensor), "as given")]
     alive = [live(topic) for topic in found]
@@ -130,14 +131,14 @@ def _named(
         f"{topic.name}: {' and '.join(sorted(sensors)) or 'no samples that change'}"
         for topic, sensors in zip(found, alive, strict=True)
     )
-    raise refused(path, f"the two topics are not a gyroscope and an accelerometer ({what})", ChoiceError)
+    text = f"the two topics are not a gyroscope and an accelerometer ({what})"
+    raise refused(path, text, ChoiceError, TOPIC)
 
 
 def _find(path: Path, topics: Sequence[Topic], name: str) -> Topic:
     same = [topic for topic in topics if topic.name.strip("/") == name.strip("/")]
     if not same:
-        listed = table(topics) or "  no topics"
-        raise refused(path, f"there is no topic {name}; choose one of these topics\n{listed}", ChoiceError)
+        raise refused(path, f"there is no topic {name}", ChoiceError, _one_of(topics))
     return next((topic for topic in same if topic.sensors), same[0])
 
 
@@ -150,8 +151,12 @@ def _among(path: Path, fitting: Sequence[Topic], live: Callable[[Topic], frozens
     accels = [topic for topic in useful if _ACCEL in alive[topic.name]]
     if len(gyros) == len(accels) == 1 and gyros[0] is not accels[0]:
         return _pair(gyros[0], accels[0], "the only topic of this sensor")
-    msg = f"{path}: {len(fitting)} topics carry IMU samples; choose one of these topics\n{table(fitting)}"
-    raise ChoiceError(msg)
+    raise refused(path, f"{len(fitting)} topics carry IMU samples", ChoiceError, _one_of(fitting))
+
+
+def _one_of(topics: Sequence[Topic]) -> Fix:
+    listed = table(topics) or "  no topics"
+    return Fix(f"choose one of these topics\n{listed}", "topic", "NAME")
 
 
 def _pair(gyro: Topic, accel: Topic, how: str) -> list[Choice]:

@@ -7,6 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
+from imucal.errors import Fix
 from imucal.readers.containers import Channel
 from imucal.readers.files import refused, require_file
 
@@ -16,6 +17,11 @@ Kind: TypeAlias = Literal["number", "array", "string", "sequence", "other"]
 
 class DefinitionError(Exception):
     """A message definition can't be read; the message contains the line."""
+
+    def __init__(self, problem: str, fix: Fix | None = None) -> None:
+        super().__init__(f"{problem}; {fix.text}" if fix else problem)
+        self.problem = problem
+        self.fixes = (fix,) if fix else ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,10 +120,10 @@ class Definition:
             elif self.given is not None and name in (standard := standard_types(ros1=self.ros1)):
                 self.types[name] = standard[name]
             else:
-                msg = f"type {plain_type(name)} is not defined"
+                fix = None
                 if self.given is not None:
-                    msg += f"; also give its .msg file, {name.rpartition('/')[2]}.msg"
-                raise DefinitionError(msg)
+                    fix = _give_file(f"also give its .msg file, {name.rpartition('/')[2]}.msg")
+                raise DefinitionError(f"type {plain_type(name)} is not defined", fix)
         return [_line(*member) for member in self.types[name][1]]
 
     def closure(self) -> dict[str, Any]:
@@ -306,5 +312,9 @@ def definition_of_channel(channel: Channel, given: Mapping[str, str]) -> Definit
     others = ", ".join(sorted(name.strip("/") for name in given)[:8])
     names = f"; the given ones define {others}" if given else ""
     last = plain_type(channel.type).rpartition("/")[2]
-    msg = f"the log has no definition of {channel.type}{kind}{names}; give its .msg file, {last}.msg"
-    raise DefinitionError(msg)
+    missing = f"the log has no definition of {channel.type}{kind}{names}"
+    raise DefinitionError(missing, _give_file(f"give its .msg file, {last}.msg"))
+
+
+def _give_file(text: str) -> Fix:
+    return Fix(text, "message_definition", "FILE")

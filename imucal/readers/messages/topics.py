@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.errors import ChoiceError, ReadError
+from imucal.errors import ChoiceError, Fix, ReadError
 from imucal.frozen import frozen_alone
 from imucal.readers.containers import Channel, Container
 from imucal.readers.messages import schemas
@@ -77,6 +77,8 @@ class Topic:
     plain: bool = False
     #: Why its messages can't be read; otherwise empty.
     reason: str = ""
+    #: What helps, if it can't be read.
+    fixes: tuple[Fix, ...] = ()
     #: The sensor requested by the user.
     wanted: Sensor | None = None
     given: Mapping[str, str] = field(default_factory=dict)
@@ -128,7 +130,8 @@ class Topic:
         try:
             decoders = {(at, channel.key): self._decoder(channel, paths) for at, channel in self.channels}
         except DefinitionError as error:
-            raise ReadError(f"topic {self.name} of type {self.type} can't be decoded: {error}") from error
+            text = f"topic {self.name} of type {self.type} can't be decoded: {error.problem}"
+            raise ReadError(text, fixes=error.fixes) from error
         floats = [column.type.startswith(("float", "double")) or "/" in column.path for column in columns]
         return Stream([np.float64 if one else np.int64 for one in floats], decoders)
 
@@ -177,7 +180,7 @@ def held_topic(
         plan, _ = plan_of((), topic, options)
     except ColumnsError as error:
         # For a file, the error about the choice lists its columns.
-        return topic if topic.file or options.columns is None else replace(topic, reason=error.problem)
+        return topic if topic.file or options.columns is None else replace(topic, reason=error.wrong)
     except ChoiceError:
         return topic
     return replace(topic, sensors=tuple(sensor.triad.sensor for sensor in plan.sensors))
@@ -198,7 +201,7 @@ def find_topics(containers: Sequence[Container], options: ReadOptions) -> list[T
             leaves = tuple(_leaves(channel, containers[number], given))
             found.append(_with_sensors(replace(topic, leaves=leaves), options))
         except DefinitionError as error:
-            found.append(replace(topic, reason=str(error)))
+            found.append(replace(topic, reason=error.problem, fixes=error.fixes))
     return found
 
 
@@ -269,7 +272,7 @@ def _with_sensors(topic: Topic, options: ReadOptions) -> Topic:
     try:
         triads, _, _ = parse_columns_text(options.columns, topic.table())
     except ColumnsError as error:
-        return replace(topic, reason=error.problem)
+        return replace(topic, reason=error.wrong)
     return replace(topic, sensors=tuple(triad.sensor for triad in triads))
 
 

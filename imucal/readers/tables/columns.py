@@ -1,11 +1,11 @@
 """Columns of a table, and the columns text of users: ``t=0,g=1:4,a=4:7``, or ``t=0,gz=1``."""
 
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from typing import Self
 
-from imucal.errors import ChoiceError
+from imucal.errors import ChoiceError, Fix
 from imucal.frozen import frozen
 from imucal.readers.tables.dialects import Dialect, find_dialect
 from imucal.readers.tables.layout import Rows, is_number
@@ -27,11 +27,24 @@ _KEYS = {
 
 
 class ColumnsError(ChoiceError):
-    """The choice of columns is ambiguous; `example` is a columns text that works on this table, or empty."""
+    """The choice of columns is ambiguous.
 
-    def __init__(self, message: str, *, problem: str = "", example: str = "") -> None:
-        super().__init__(message)
-        self.problem, self.example = problem, example
+    `wrong` is the problem without the list of columns; `example` is a columns text that works on this table,
+    or empty.
+    """
+
+    def __init__(
+        self,
+        problem: str,
+        *,
+        place: object = "",
+        fixes: Iterable[Fix] = (),
+        wrong: str = "",
+        example: str = "",
+    ) -> None:
+        super().__init__(problem, place=place, fixes=fixes)
+        self.wrong = wrong
+        self.example = example
 
 
 @frozen
@@ -153,9 +166,13 @@ class NamedTable:
             if example
             else f"of the form {form} (names of columns, or their numbers from 0)"
         )
-        found = f"{self.path}: {problem}; found columns: {self.listed}"
-        message = f"{found}; name them in a columns text {how}"
-        return ColumnsError(message, problem=problem, example=example)
+        return ColumnsError(
+            f"{problem}; found columns: {self.listed}",
+            place=self.path,
+            fixes=[Fix(f"name them in a columns text {how}", "columns", "TEXT")],
+            wrong=problem,
+            example=example,
+        )
 
 
 def parse_columns_text(text: str, table: NamedTable) -> tuple[tuple[Triad, ...], tuple[int, ...], int | None]:

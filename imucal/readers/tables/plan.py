@@ -11,9 +11,10 @@ from typing import TypeAlias
 
 import numpy as np
 
-from imucal.errors import ChoiceError
+from imucal.errors import ChoiceError, Fix
 from imucal.findings import Finding
 from imucal.frozen import frozen
+from imucal.readers import fixes
 from imucal.readers.files import refused
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import UnitGuess, gravity_length
@@ -102,7 +103,7 @@ def make_plan(table: NamedTable, options: ReadOptions, *, name: str = "", shape:
         with suppress(ChoiceError):
             named = _by_name(table, options, name, shape)
             text = table.columns_text(*(sensor.triad for sensor in named.sensors))
-            error = table.ask(error.problem, example=text)
+            error = table.ask(error.wrong, example=text)
         raise error from None
     return _plan(table, sensors, temperature, "as given", options, time=time)
 
@@ -185,8 +186,8 @@ def _with_time(table: NamedTable, triad: Triad, options: ReadOptions) -> SensorP
 def _log_time(table: NamedTable, times: Sequence[TimeChoice], stamps: Sequence[TimeChoice]) -> TimeChoice:
     if len(stamps) < 2:
         found = f"found times: {', '.join(time.name for time in times) or 'none'}"
-        text = f"there is no log time besides the time stamps; {found}; name the column to take as time"
-        raise refused(table.path, text, ChoiceError)
+        text = f"there is no log time besides the time stamps; {found}"
+        raise refused(table.path, text, ChoiceError, Fix("name the column to take as time", "time", "CLOCK"))
     return stamps[1]
 
 
@@ -243,10 +244,11 @@ def find_triads(table: NamedTable, *, units_given: Sequence[Sensor] = ()) -> lis
             named = zip(triad.headers, triad.units, strict=True)
             axes = ", ".join(f"{header} in {unit or 'no unit'}" for header, unit in named)
             text = (
-                f"the axes of the {triad.sensor} have different units ({axes}); expected one unit; give "
-                f"the unit of the {triad.sensor}, or correct the header; found columns: {table.listed}"
+                f"the axes of the {triad.sensor} have different units ({axes}); expected one unit; found "
+                f"columns: {table.listed}"
             )
-            raise refused(table.path, text, ChoiceError)
+            give = fixes.unit(triad.sensor, f"give the unit of the {triad.sensor}")
+            raise refused(table.path, text, ChoiceError, give, Fix("correct the header"))
 
     def is_linear(triad: Triad) -> bool:
         # Phones provide linear acceleration without gravity.
@@ -467,7 +469,8 @@ def _missing(table: NamedTable, found: Found) -> tuple[Finding, ...]:
             if guessed := _only_axes(table, left, sensor):
                 ready = table.columns_text(*_each((found | {sensor: guessed}).get).values())
                 advice = f"If it is one of them, give a columns text such as {ready}."
-                missing = replace(missing, level="warning", advice=advice)
+                give = Fix("", "columns", ready)
+                missing = replace(missing, level="warning", advice=advice, fix=give)
             findings.append(missing)
         elif triad.axes != AXES:
             text = f"Only {' and '.join(triad.axes)} of the {sensor} was found in the table; {listed}"

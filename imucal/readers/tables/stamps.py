@@ -15,6 +15,7 @@ from imucal.frozen import frozen
 from imucal.readers.clocks import estimate_period
 from imucal.readers.clocks.period import LIKELY_RATES, RATES
 from imucal.readers.files import refused
+from imucal.readers.fixes import TIME
 from imucal.readers.store import Room, extremes
 from imucal.readers.tables.columns import NamedTable
 from imucal.readers.tables.dates import DAY, HALF_DAY, day_first, is_text_stamp, is_time_of_day, text_kind
@@ -329,7 +330,7 @@ def named_time(table: NamedTable, name: str) -> TimeChoice:
         indices = [table.index_of(part) for part in name.split("+")]
     except ValueError as error:
         text = f"there is no time column {name!r}; found columns: {table.listed}"
-        raise refused(table.path, text, ChoiceError) from error
+        raise refused(table.path, text, ChoiceError, TIME) from error
     return time_of_columns(table, indices)
 
 

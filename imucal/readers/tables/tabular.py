@@ -13,7 +13,7 @@ import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, blocks, release
 from imucal.clock import Clock
-from imucal.errors import ChoiceError, DataError, ImucalError, as_one
+from imucal.errors import ChoiceError, DataError, Fix, ImucalError, joined
 from imucal.findings import Finding
 from imucal.frozen import frozen_alone
 from imucal.readers.builder import RecordingBuilder
@@ -21,6 +21,7 @@ from imucal.readers.clocks import LOG_TIME, ClockReading, clock_from_stamps, com
 from imucal.readers.clocks.period import LIKELY_RATES
 from imucal.readers.contents import LogContents, TopicContents
 from imucal.readers.files import refused
+from imucal.readers.fixes import COLUMNS, GIVE_RATE, GIVE_TIME_UNIT, NAME_TIME, TIME_UNIT
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import Unscaled
 from imucal.readers.store import Room, count, extremes
@@ -99,11 +100,12 @@ def table_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
         return _counted_clock(work, columns)
     if unit is not None and time_unit_ns(unit) is None:
         known = ", ".join(TIME_UNITS_NS | LONG_TIME_UNITS_NS) + ", or a number of them such as 100ns"
-        raise refused(work.path, f"{unit!r} is not a time unit; expected one of {known}", ChoiceError)
+        text = f"{unit!r} is not a time unit; expected one of {known}"
+        raise refused(work.path, text, ChoiceError, TIME_UNIT)
     if unit is not None and plan.time.kind not in {"stamp", "counter"}:
         has = f"the {plan.triad.sensor} has the time {plan.time.name}, {plan.time.words}"
-        text = f"the time unit {unit} does not apply: {has}; omit it, or name another time column"
-        raise refused(work.path, text, ChoiceError)
+        text = f"the time unit {unit} does not apply: {has}"
+        raise refused(work.path, text, ChoiceError, Fix("omit it"), NAME_TIME)
     source = columns.source or f"column {plan.time.name}"
     sensor = plan.triad.sensor
     stamps = stamps_of(work, plan.time, columns.time, sensor)
@@ -227,11 +229,8 @@ def _unclear_unit(path: str, time: TimeChoice, values: Numbers, sensor: Sensor) 
         problem = f"increases by {step:g} per row, which is {readings}"
     else:
         problem = f"increases by {step:g} per row, and {time.unknown_unit!r} in its name is not a known unit"
-    text = (
-        f"column {time.name!r}, the time of the {sensor}, {problem}; give the time unit, or give the "
-        "sampling rate"
-    )
-    return refused(path, text, ChoiceError)
+    text = f"column {time.name!r}, the time of the {sensor}, {problem}"
+    return refused(path, text, ChoiceError, GIVE_TIME_UNIT, GIVE_RATE)
 
 
 #: Period of the clocks of .NET, FILETIME and Windows' performance counter, in ns.
@@ -265,13 +264,12 @@ def _open_unit(
         proposed = _with_ticks(proposed, rates)
     choices = " or ".join(f"{rate:.6g} Hz in {unit}" for unit, rate in proposed.items())
     name = time.name.strip().strip("\"'")
-    named = f"name it in the header, such as {name}_{likely[0]}, " if fits and not name.isdigit() else ""
-    ways = f"{choices}; give the time unit, {named}or give the sampling rate"
+    fixes = [GIVE_TIME_UNIT, GIVE_RATE] if rates else [NAME_TIME, GIVE_RATE]
+    if rates and fits and not name.isdigit():
+        fixes.insert(1, Fix(f"name it in the header, such as {name}_{likely[0]}"))
     has = f"the time of the {sensor}, has no unit and increases by {typical_step(values):g} per row"
-    which = (
-        ways if rates else "not a usual rate in any unit; name another time column, or give the sampling rate"
-    )
-    return refused(path, f"column {time.name!r}, {has}, which is {which}", ChoiceError)
+    which = choices if rates else "not a usual rate in any unit"
+    return refused(path, f"column {time.name!r}, {has}, which is {which}", ChoiceError, *fixes)
 
 
 def _counted_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReading:
@@ -283,10 +281,8 @@ def _counted_clock(work: RecordingBuilder, columns: SensorColumns) -> ClockReadi
         what = f"only a counter ({plan.time.name})" if plan.time else "no time column"
         what += f" ({plan.untimed})" if plan.untimed else ""
         sensor = plan.triad.sensor
-        lack = (
-            f"and no sampling rate for the {sensor}; expected time stamps or a rate; give the sampling rate"
-        )
-        raise refused(work.path, f"{what} {lack}", ChoiceError)
+        lack = f"and no sampling rate for the {sensor}; expected time stamps or a rate"
+        raise refused(work.path, f"{what} {lack}", ChoiceError, GIVE_RATE)
     work.decide("time", f"{rate:g} Hz, the {source}")
     even = ClockReading(clock=Clock.even(n, rate, source=source))
     if plan.time is None or not columns.time or columns.time[0].dtype.kind != "i":
@@ -367,7 +363,7 @@ def assemble(
     except ChoiceError as error:
         lacking.append(error)
     if lacking:
-        raise as_one(work.path, lacking)
+        raise joined(work.path, lacking)
     for columns, reading in both:
         if columns.temperature is not None:
             _add_temperature(work, columns.temperature, reading)
@@ -413,30 +409,30 @@ def with_more(
                 reading(replace(options, columns=proposals[0]))
             except ChoiceError as more:
                 lacking.append(more)
-    return as_one(where, lacking)
+    return joined(where, lacking)
 
 
 def refuse_topics(path: Path, options: ReadOptions, what: str) -> None:
     """Raise ChoiceError if topics are given for a table."""
     if options.topics:
         text = f"{what} has no topics such as {', '.join(options.topics)}"
-        raise refused(path, f"{text}; expected no topic, or a columns text", ChoiceError)
+        raise refused(path, f"{text}; expected no topic, or a columns text", ChoiceError, COLUMNS)
 
 
 def contents_of(
     path: Path,
     form: str,
-    found: Recording | str,
+    found: Recording | ImucalError,
     *,
     size: int | None,
     layout: str = "table",
     compression: str = "",
 ) -> LogContents:
     """Return a description of a table, from its recording or the reason why it can't be read."""
-    topic = TopicContents(name=path.name, type=layout, note=found if isinstance(found, str) else "")
+    topic = TopicContents(name=path.name, type=layout)
     contents = LogContents(path=str(path), format=form, size_bytes=size, compression=compression)
-    if isinstance(found, str):
-        return replace(contents, topics=(topic,))
+    if isinstance(found, ImucalError):
+        return replace(contents, topics=(topic.refused(found),))
     first = found.series[0]
     topic = replace(
         topic,

@@ -219,8 +219,9 @@ class TextSource(AbstractContextManager["TextSource"]):
         except ReadError as error:
             if plain:
                 raise
-            msg = f"{name}: {self.compression} of binary data; unpack it, and give the log in it"
-            raise ReadError(msg) from error
+            raise refused(
+                name, f"{self.compression} of binary data; unpack it, and give the log in it"
+            ) from error
         wide = self.encoding.startswith("utf-16")
         self._decode = codecs.getincrementaldecoder(self.encoding)("replace") if wide else None
         text = head.removeprefix(codecs.BOM_UTF8)

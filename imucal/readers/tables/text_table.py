@@ -16,7 +16,7 @@ from itertools import chain
 from pathlib import Path, PurePath
 from typing import Any, BinaryIO, TypeAlias, cast
 
-from imucal.errors import ChoiceError, DataError, ImucalError, ReadError, as_one
+from imucal.errors import ChoiceError, DataError, Fix, ImucalError, ReadError, joined
 from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.compression import keep_freed_memory, most_unpacked
@@ -106,8 +106,8 @@ _MAX_WITHOUT_ROWS = 8 << 20
 _MAX_REPEATED_TEXT = 32 << 20
 #: Bytes of a line that an error shows.
 _SHOWN = 60
-#: Advice for a file without samples.
-_ONLY_TIMES = "it contains only times; write them next to the samples, such as with paste -d ,"
+#: Code of the error for a file without samples.
+_ONLY_TIMES = "only-times"
 
 
 def read_table(
@@ -158,8 +158,8 @@ def read_table(
     except ChoiceError as error:
         if not source.findings:
             raise
-        damage = [ChoiceError(f"{source.name}: {finding.text}") for finding in source.findings]
-        raise as_one(source.name, [error, *damage]) from error
+        damage = [ChoiceError(finding.text, place=source.name) for finding in source.findings]
+        raise joined(source.name, [error, *damage]) from error
     return work.build(topics=plan.topics)
 
 
@@ -169,9 +169,15 @@ def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tu
     names = layout.headers or [""] * layout.width
     table = NamedTable.of(source.name, names, layout.cells, units=layout.units, preamble=layout.preamble)
     if all(column.role is Role.TIME for column in table.columns):
-        joined = f"{shlex.quote(source.name)} SAMPLES > log.csv"
-        way = f"{_ONLY_TIMES} {joined}, or leave it out and give the sampling rate"
-        raise refused(source.name, way, ChoiceError)
+        pasted = f"paste -d , {shlex.quote(source.name)} SAMPLES > log.csv"
+        raise refused(
+            source.name,
+            "it contains only times",
+            ChoiceError,
+            Fix(f"write them next to the samples, such as with {pasted}"),
+            Fix("leave it out and give the sampling rate", "rate_hz", "HZ"),
+            code=_ONLY_TIMES,
+        )
     return layout, make_plan(table, options, name=name)
 
 
@@ -425,7 +431,7 @@ def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
             with open_text(path) as source:
                 _, plan = plan_of_head(source, options, path.name)
         except ImucalError as error:
-            if _ONLY_TIMES in str(error):
+            if error.code == _ONLY_TIMES:
                 raise
             return None
         sensors += [sensor.triad.sensor for sensor in plan.sensors]
@@ -508,10 +514,10 @@ def describe(path: Path, options: ReadOptions) -> LogContents:
 def _described(
     path: Path, size: int | None, compression: str, reading: Callable[[], Recording]
 ) -> LogContents:
-    found: Recording | str
+    found: Recording | ImucalError
     try:
         found = reading()
         layout = dict(found.source.decisions).get("layout", "table").partition(",")[0]
     except (ChoiceError, DataError) as error:
-        found, layout = str(error).removeprefix(f"{path}: "), "table"
+        found, layout = error, "table"
     return contents_of(path, "csv", found, size=size, layout=layout, compression=compression)

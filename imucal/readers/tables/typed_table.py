@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.errors import ImucalError
+from imucal.errors import Fix, ImucalError
 from imucal.findings import Finding
 from imucal.frozen import frozen, frozen_alone
 from imucal.readers.contents import LogContents
@@ -279,12 +279,12 @@ def read(path: Path, options: ReadOptions) -> Recording:
 def describe(path: Path, options: ReadOptions) -> LogContents:
     """Return the contents of a table."""
     size, table = path.stat().st_size, open_table(path)
-    found: Recording | str
+    found: Recording | ImucalError
     try:
         found = _read(path, table, options)
     except ImucalError as error:
         names = ", ".join(f"{column.name} ({column.values.size})" for column in table.columns[:60])
-        found = f"{error}; columns: {names}"
+        found = error.with_fixes(Fix(f"columns: {names}"))
     unpacked = 8 * sum(column.values.size for column in table.columns)
     return replace(contents_of(path, table.format, found, size=size), unpacked_bytes=unpacked)
 
@@ -302,7 +302,7 @@ def _read(path: Path, table: TableFile, options: ReadOptions) -> Recording:
             return read_log(_log(path, table, heads), asked)
 
         asking = with_more(str(path), error, options, tried)
-        raise type(asking)(f"{asking}; or {table.way}" if table.way else str(asking)) from error
+        raise (asking.with_fixes(Fix(table.way)) if table.way else asking) from error
 
 
 def _log(path: Path, table: TableFile, topics: list[Topic]) -> OpenLog:

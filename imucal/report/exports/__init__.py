@@ -4,23 +4,14 @@ import re
 from pathlib import Path
 
 from imucal.atomic import write_configs
-from imucal.report.exports.config_numbers import (
-    DEFAULT_OPTIONS,
-    AxisPolicy,
-    Basis,
-    ExportOptions,
-    Unidentified,
-)
+from imucal.report.exports.config_numbers import DEFAULT_OPTIONS, ExportOptions
 from imucal.report.exports.target import Target, name_key, read_targets
 from imucal.report.result import Report
 
 __all__ = [
     "FAMILIES",
     "TARGETS",
-    "AxisPolicy",
-    "Basis",
     "ExportOptions",
-    "Unidentified",
     "export",
     "find_target",
     "render",

@@ -419,9 +419,8 @@ def test_axes_with_different_units_are_refused(tmp_path: Path) -> None:
     content = lines(header, seconds(truth()), *xyz(truth().gyro))
     assert refused(tmp_path, content) == (
         "the axes of the gyroscope have different units (xRate (rad/s) in rad/s, yRate (deg/s) in deg/s, "
-        "zRate (deg/s) in deg/s); expected one unit; give the unit of the "
-        "gyroscope, or correct the header; found columns: 0 time (s), 1 xRate (rad/s), 2 yRate (deg/s), "
-        "3 zRate (deg/s)"
+        "zRate (deg/s) in deg/s); expected one unit; found columns: 0 time (s), 1 xRate (rad/s), "
+        "2 yRate (deg/s), 3 zRate (deg/s); give the unit of the gyroscope, or correct the header"
     )
     recording = read(tmp_path / "log.csv", ReadOptions(gyro_unit="rad/s"))
     assert recording.series[0].samples[0] == truth().gyro[0, 0]

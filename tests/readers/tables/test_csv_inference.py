@@ -174,7 +174,7 @@ def test_integer_counts_of_a_gyroscope_need_a_scale(tmp_path: Path) -> None:
     assert str(caught.value) == (
         f"{path}: the unit of the gyroscope is unknown: no header contains it, and the rates are integer "
         "counts of an unknown scale; expected a unit such as rad/s, deg/s, mdeg/s or deg/h; give its "
-        "unit, or the scale of its counts in rad/s per count"
+        "unit, or give the scale of its counts in rad/s per count"
     )
     recording = read(path, ReadOptions(gyro_scale=np.radians(1 / 131), accel_scale=G0 / 16384))
     assert recording.axis("accelerometer", "z").samples.mean() == pytest.approx(G0, rel=1e-3)
@@ -188,6 +188,6 @@ def test_an_accelerometer_without_plausible_gravity_needs_a_unit(tmp_path: Path)
     assert str(caught.value) == (
         f"{path}: the unit of the accelerometer is unknown: no header contains it, and median magnitude "
         "4.905 is not gravity in m/s^2, g or mg; expected a unit such as m/s^2, g, mg or cm/s^2; give its "
-        "unit, or the scale of its counts in m/s^2 per count"
+        "unit, or give the scale of its counts in m/s^2 per count"
     )
     assert read(path, ReadOptions(accel_unit="m/s^2")).series[0].n == N
