@@ -5,7 +5,6 @@ A message states the place, the problem, the expected content, and the next step
 """
 
 from collections.abc import Iterable
-from copy import copy
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
@@ -98,9 +97,7 @@ class ImucalError(Exception):
 
     def at(self, place: object) -> Self:
         """Return the error at another place, such as the URL of a downloaded file."""
-        other = copy(self)
-        other.place = str(place)
-        return other
+        return self._with(place=str(place))
 
     def within(self, outer: object) -> Self:
         """Return the error with an outer place before its place, unless it is there already."""
@@ -109,15 +106,21 @@ class ImucalError(Exception):
 
     def with_fixes(self, *fixes: Fix) -> Self:
         """Return the error with further ways to fix it."""
-        other = copy(self)
-        other.fixes = (*self.fixes, *fixes)
+        return self._with(fixes=(*self.fixes, *fixes))
+
+    def _with(self, **fields: object) -> Self:
+        """Return a copy with other fields."""
+        # Not copy.copy: distributed registers another way to copy exceptions.
+        other = type(self)(self.problem)
+        vars(other).update(vars(self), **fields)
         return other
 
     def parts(self) -> "tuple[ImucalError, ...]":
         """Return this error alone, then those in `also`, with their full places."""
-        own = copy(self)
-        own.also = ()
-        return (own, *(error.within(self.place) if self.place else error for error in self.also))
+        return (
+            self._with(also=()),
+            *(error.within(self.place) if self.place else error for error in self.also),
+        )
 
 
 def _placed(place: str, text: str) -> str:

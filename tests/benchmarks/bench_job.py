@@ -60,13 +60,13 @@ STAGES = {
     "record length": ("imucal/planning.py", "resolution_findings"),
     "document and JSON": ("imucal/report/json_node.py", "dumps"),
     "pictures and page": ("imucal/report/writer.py", "write_report"),
-    "of these: transforms": ("imucal/allan/dct.py", "_transform"),
+    "of these: transforms": ("imucal/allan/dct.py", "dct_ordinates"),
     "of these: blind starts": ("imucal/fitting/spectral/maximum.py", "find_starts"),
     "of these: likelihood": ("imucal/fitting/spectral/likelihood.py", "evaluate"),
 }
 #: Work that could be shared -> the function whose calls are counted.
 REPEATS = {
-    "transforms": ("imucal/allan/dct.py", "_transform"),
+    "transforms": ("imucal/allan/dct.py", "dct_ordinates"),
     "bins": ("imucal/fitting/spectral/blocks.py", "_binned"),
     "spike searches": ("imucal/fitting/robust.py", "find_spikes"),
     "covariances of a curve": ("imucal/fitting/moments/points.py", "_computed"),

@@ -331,7 +331,7 @@ def test_a_missing_key_is_reported() -> None:
         (None, "no such file, expected the report.json that imucal writes"),
         (b"time,gx\n", "not JSON (Expecting value: line 1 column 1 (char 0)), expected the report.json"),
         (b"[1]", "found [1], expected an object"),
-        (b'{"schema": NaN}', "not JSON (it holds NaN), expected the report.json"),
+        (b'{"schema": NaN}', "not JSON (it contains NaN), expected the report.json"),
         (b"\xff\xfe\xfa", "not JSON"),
         (b"{}", 'the schema is null, expected "imucal/report/2"'),
     ],
