@@ -31,11 +31,16 @@ from imucal.report.result import AxisReport, Overview, Report
 from imucal.resources import memory_limit, threads
 from imucal.screening import screen_values, worst_first
 
-#: Samples from which constant axes are refused early; samples per block, small enough for the cache.
-_BLOCK, _PART = 1 << 20, 1 << 15
-#: Memory of the analysis of an axis, in bytes per sample and constant; and the default limit of all parallel
-#: axes.
-_BYTES, _BESIDES, _ROOM = 24, 25_000_000, 300_000_000
+#: Samples from which constant axes are refused early.
+_BLOCK = 1 << 20
+#: Samples per block, small enough for the cache.
+_PART = 1 << 15
+#: Memory of the analysis of an axis, in bytes per sample.
+_BYTES = 24
+#: Memory of the analysis of an axis besides its samples, in bytes.
+_BESIDES = 25_000_000
+#: Default limit of the memory of all parallel axes, in bytes.
+_ROOM = 300_000_000
 #: Below this number of samples, screening is faster than forking.
 _LONG = 500_000
 #: Lazily loaded modules that every axis needs.

@@ -27,13 +27,17 @@ from imucal.recording import AxisSeries
 ComplexArray: TypeAlias = NDArray[np.complex128]
 
 LONG = 500_000
-#: Values per piece of work, and the minimum number of adjacent columns in it.
-_PIECE, _MIN_COLUMNS = 1 << 16, 16
+#: Values per piece of work: it fits into the cache.
+_PIECE = 1 << 16
+#: Minimum number of adjacent columns in a piece: access by fewer columns is strided.
+_MIN_COLUMNS = 16
 #: The exponent of n in `split`, the fastest by measurement.
 _SHARE = 0.43
 _BLOCK = 65536
-#: Any length up to the first number is fast, and lengths without prime factors above the second.
-_QUICK, _PRIME = 65536, 127
+#: Any length up to this one is fast.
+_QUICK = 65536
+#: Longer lengths are fast without a larger prime factor.
+_PRIME = 127
 #: Number of computed sines of a ramp; the others follow by angle addition.
 _TABLE = 1 << 12
 #: Largest fraction of the samples that `fast_length` drops.

@@ -29,10 +29,14 @@ from imucal.errors import ArgumentError, DataError
 from imucal.recording import TINY, AxisSeries
 from imucal.resources import memory_limit
 
-#: Smallest number of start points per averaging time, and the first sum of samples; powers of two.
-_DENSE, _THIN = 128, 64
-#: A named set of averaging times, and its default number per decade.
-_DECADE, _PER_DECADE = re.compile(r"decade(?::(?P<count>[1-9]\d{0,3}))?"), 10
+#: Smallest number of start points per averaging time, a power of two.
+_DENSE = 128
+#: Samples of the first sum, a power of two.
+_THIN = 64
+#: A named set of averaging times with a number per decade.
+_DECADE = re.compile(r"decade(?::(?P<count>[1-9]\d{0,3}))?")
+#: Averaging times per decade if the name has no number.
+_PER_DECADE = 10
 #: Bytes per sample of the exact curve.
 _WORK = 32
 _PIECE = 1 << 20

@@ -46,8 +46,10 @@ from imucal.solvers import non_negative
 
 #: More lags than this are summed on a graded grid.
 _ALL_LAGS = 1024
-#: Lags kept around each kink, and points per octave beyond.
-_DENSE, _PER_OCTAVE = 24, 16
+#: Lags kept around each kink.
+_DENSE = 24
+#: Lags per octave beyond.
+_PER_OCTAVE = 16
 #: Flicker's covariance falls as k^-4: this many averaging times are enough.
 _FAR = 32
 #: Above this factor the covariance of the modified estimator is scaled.
@@ -63,8 +65,12 @@ _MODIFIED_SLOPES: dict[PowerLaw, float] = {
 _DRIFT_ORDINATES = 128
 #: Minimum gain of twice the log likelihood: the 95 % quantile of chi-squared with 1 dof.
 _DRIFT_GAIN = 3.84
-#: Fisher scoring: rounds, halvings of a step, and updates of the starting point.
-_ROUNDS, _HALVINGS, _UPDATES = 100, 20, 20
+#: Most rounds of Fisher scoring.
+_ROUNDS = 100
+#: Most halvings of a step of Fisher scoring.
+_HALVINGS = 20
+#: Updates of the starting point of Fisher scoring.
+_UPDATES = 20
 #: Averaging factors up to n divided by this need no model.
 _CROSSOVER = 256
 #: A difference of two independent values has half the excess kurtosis of one value.

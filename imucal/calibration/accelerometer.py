@@ -32,12 +32,18 @@ LOWER = np.tril_indices(3)
 _DIAGONAL = np.array([True, False, True, False, False, True, True, True, True])
 _OFF_DIAGONAL = ~_DIAGONAL
 
-#: Shares of the largest singular value below which nothing is known, or the interval is wide.
-_NOTHING, _WEAK = 1e-5, 1e-2
+#: Share of the largest singular value below which nothing is known.
+_NOTHING = 1e-5
+#: Share of the largest singular value below which the interval is wide.
+_WEAK = 1e-2
 #: Least component of a parameter that is part of a direction.
 _PART = 1e-3
-#: Limits of Gauss-Newton: steps, last step in standard deviations, halvings of a step.
-_STEPS, _SMALL_STEP, _HALVINGS = 30, 1e-7, 20
+#: Most steps of Gauss-Newton.
+_STEPS = 30
+#: Last step of Gauss-Newton, in standard deviations.
+_SMALL_STEP = 1e-7
+#: Most halvings of a step of Gauss-Newton.
+_HALVINGS = 20
 #: Standard deviation of a misalignment before any rest, in rad: 0.5 to 1° is usual in a consumer IMU.
 MISALIGNMENT = 0.015
 #: Standard deviation of a scale error before any rest: datasheets of consumer IMUs give 1 to 3 %.

@@ -19,8 +19,10 @@ __all__ = ["Facts", "findings_of", "worse_than_before"]
 _UNEXPLAINED = 0.01
 #: Length of a short rest, in s.
 _SHORT_S = 2.0
-#: Change of temperature of a warm-up, in K; share of a random walk that suggests one.
-_WARMING_K, _WALK_SHARE = 2.0, 0.5
+#: Change of temperature of a warm-up, in K.
+_WARMING_K = 2.0
+#: Share of a random walk in the slow noise that suggests a warm-up.
+_WALK_SHARE = 0.5
 #: Share of the deviation of G above which an unknown earth rate is reported.
 _EARTH_SHARE = 1 / 3
 #: Factor from which a noise report belongs to another sensor or unit.

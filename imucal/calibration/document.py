@@ -25,8 +25,10 @@ __all__ = [
     "to_document",
 ]
 
-#: Name and number of the layout, and of the file.
-SCHEMA, FILE_NAME = "imucal/calibration/1", "calibration.json"
+#: Name and number of the layout.
+SCHEMA = "imucal/calibration/1"
+#: Name of the file.
+FILE_NAME = "calibration.json"
 
 
 def to_document(found: Calibration) -> JsonObject:

@@ -37,12 +37,22 @@ if TYPE_CHECKING:
 
 __all__ = ["FIGURES", "picture"]
 
-#: In inches.
-_WIDTH, _HEIGHT, _HEAD, _FOOT = 10.0, 4.3, 0.8, 0.8
+#: Width of a picture, in inches.
+_WIDTH = 10.0
+#: Height of a picture, in inches.
+_HEIGHT = 4.3
+#: Height of the title, in inches.
+_HEAD = 0.8
+#: Height of the lower axis and the last line, in inches.
+_FOOT = 0.8
 #: Half-width of a 95 % interval in deviations.
 _Z95 = 1.959964
-#: Colours of values before and after the calibration, and of unused ones.
-_BEFORE, _AFTER, _UNUSED = FADED, MODEL.light, LEFT_OUT
+#: Colour of values before the calibration.
+_BEFORE = FADED
+#: Colour of values after the calibration.
+_AFTER = MODEL.light
+#: Colour of values that are not used.
+_UNUSED = LEFT_OUT
 
 
 def picture(found: Calibration, name: str) -> bytes:

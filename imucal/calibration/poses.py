@@ -50,10 +50,14 @@ _BY_GRAVITY = 3e-3
 _FAST = 0.9
 #: Time removed at both ends of a rest, in s.
 _CLEAR_S = 0.15
-#: In a hand: rates that count as rest, in rad/s; change of the acceleration by a tilt, in m/s² per rad.
-_IN_HAND, _IN_HAND_JUMP = 0.03, 10.0
-#: Deviations by which the halves of a moved rest differ; more if there are many rests.
-_MOVED, _FALSE_ALARMS = 4.0, 1e-3
+#: Rates in a hand that count as rest, in rad/s.
+_IN_HAND = 0.03
+#: Change of the acceleration by a tilt in a hand, in m/s² per rad: gravity.
+_IN_HAND_JUMP = 10.0
+#: Deviations by which the halves of a moved rest differ.
+_MOVED = 4.0
+#: Probability that any rest of a log seems to have moved by chance; with many rests it raises the limit.
+_FALSE_ALARMS = 1e-3
 #: Angle within which rests have the same attitude, in rad.
 _SAME_ATTITUDE = math.radians(10.0)
 

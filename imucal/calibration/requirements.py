@@ -14,8 +14,10 @@ __all__ = [
     "trouble_of", "unusable_turns",
 ]  # fmt: skip
 
-#: Minimum number of rests, and the shortest that are worth a try, in s.
-MIN_RESTS, _SHORTEST_S = 6, 0.4
+#: Minimum number of rests: one for each scale and bias.
+MIN_RESTS = 6
+#: Length of the shortest rests that are worth a try, in s.
+_SHORTEST_S = 0.4
 #: Lengths of gravity of a log in g.
 _IN_G = 0.85, 1.15
 #: Readings at 1 rad/s of a log in deg/s.
@@ -24,8 +26,10 @@ _IN_DEGREES = 50.0, 65.0
 _NOISY = 3
 #: A longer turn is not used, in s.
 _LONGEST_TURN_S = 60.0
-#: Least repetitions of an extreme on a clipped axis, and its least distance from rest, in steps.
-_REPEATED, _FAR = 3, 20
+#: Least repetitions of an extreme on a clipped axis.
+_REPEATED = 3
+#: Least distance of the extreme of a clipped axis from rest, in steps.
+_FAR = 20
 #: Length of a segment in which a vibration is searched for, in s: a resolution of 0.5 Hz.
 _SEGMENT_S = 2.0
 #: Least number of segments, and least samples of one.

@@ -38,8 +38,10 @@ __all__ = [
 
 #: P-value of chi² below which a base is not used alone.
 TRUSTED = 0.2
-#: Cells of the grid in each direction, and its ends in deviations of the base.
-_CELLS, _GRID_ENDS = 10, (0.05, 60.0)
+#: Cells of the grid in each direction.
+_CELLS = 10
+#: Ends of the grid, in deviations of the base.
+_GRID_ENDS = (0.05, 60.0)
 #: Rounds of estimating the excess and fitting again.
 _ROUNDS = 2
 _WALK = NoiseModel(terms=(TERMS["K"].of(1.0),))

@@ -27,8 +27,10 @@ _UNITS = {
     "raw/(m/s^2)": ("per m/s²", 1.0),
     "raw/(rad/s)": ("per rad/s", 1.0),
 }
-#: Columns of the left half of a wide table, and of the name of a parameter.
-_HALF, _NAME = 39, 16
+#: Columns of the left half of a wide table.
+_HALF = 39
+#: Columns of the name of a parameter.
+_NAME = 16
 #: Columns for two blocks side by side.
 _WIDE = 80
 #: Statuses that the table shows.

@@ -26,8 +26,10 @@ __all__ = [
 _LOST = 0.3
 #: Largest change of the direction of gravity by a turn in place, in rad: 10°.
 _IN_PLACE = math.radians(10.0)
-#: Number of common scales to try, and of samples of the coarse turns.
-_SCALES, _COARSE = 60, 40
+#: Number of common scales to try, from a half to four times the likely one.
+_SCALES = 60
+#: Number of samples of the coarse turns.
+_COARSE = 40
 
 
 @frozen

@@ -25,12 +25,18 @@ from imucal.noise import NoiseModel
 
 __all__ = ["GyroNoise", "TurnsFit", "direction_covariance", "fit_turns"]
 
-#: Limits of Gauss-Newton: steps, steps that compute the covariance, last step in deviations.
-_STEPS, _UPDATES, _SMALL_STEP = 15, (0, 2), 1e-4
+#: Most steps of Gauss-Newton.
+_STEPS = 15
+#: Steps of Gauss-Newton that compute the covariance.
+_UPDATES = (0, 2)
+#: Last step of Gauss-Newton, in standard deviations.
+_SMALL_STEP = 1e-4
 #: Blocks of a turn with constant weights on the noise.
 _BLOCKS = 8
-#: P-value of a wrong turn's studentised residual; largest share of excluded turns.
-_WRONG, _MAX_WRONG_SHARE = 1e-4, 0.2
+#: P-value of a wrong turn, given the others.
+_WRONG = 1e-4
+#: Largest share of excluded turns.
+_MAX_WRONG_SHARE = 0.2
 #: Least share of a turn's information that the other turns leave for a test of it.
 _TOLD = 1e-3
 #: P-value of chi² below which the intervals are widened.

@@ -30,13 +30,21 @@ from imucal.units import G0, SAMPLE_UNITS
 
 #: Sufficient share of the required deviation: NEES is 1.2.
 _ENOUGH = 1 / math.sqrt(1.2)
-#: Multiples of the required coefficient: for a note, and for a mistake.
-_CAUTIOUS, _SUSPECT = 10.0, 2.0
+#: Multiple of the required coefficient from which a note says so.
+_CAUTIOUS = 10.0
+#: Multiple of the required coefficient from which a mistake is searched for.
+_SUSPECT = 2.0
 _VALUES = Caution(0.0, 0.0)
-#: Relative to the right coefficient: no sensor is this good; no bound is this far above the truth.
-_ABSURD, _FAR_BELOW_A_BOUND = 1e-3, 1e-5
-#: A number matches a mistake within this factor; a small excess may be on purpose, so it must match better.
-_NEAR, _NEAR_ON_PURPOSE, _ON_PURPOSE = 1.35, 1.1, 30.0
+#: Share of the right coefficient below which no sensor is so good.
+_ABSURD = 1e-3
+#: The same share of a bound: no bound is this far above the truth.
+_FAR_BELOW_A_BOUND = 1e-5
+#: A number matches a mistake within this factor.
+_NEAR = 1.35
+#: The same for a small excess, which may be on purpose.
+_NEAR_ON_PURPOSE = 1.1
+#: Largest excess that may be on purpose, as a factor.
+_ON_PURPOSE = 30.0
 #: The same for one mistake of several numbers, of which one must match as above. K is often only bounded, and
 #: then the exporter's number is up to twice the number of the truth.
 _NEAR_SHARED = 2.0

@@ -303,9 +303,11 @@ def _explain(error: BaseException, *, as_json: bool = False) -> int:
     return code
 
 
-#: Another project has a package of the same name: pip installs both into one folder, where one overwrites
+#: Name of this project in the package index.
+OURS = "imucal-noise"
+#: Another project with a package of the same name: pip installs both into one folder, where one overwrites
 #: files of the other.
-OURS, OTHER = "imucal-noise", "imucal"
+OTHER = "imucal"
 
 
 def _version_lines() -> str:

@@ -171,7 +171,8 @@ def _shard(text: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-PATIENCE, SHARD = Text("duration", _patience), Text("shard", _shard)
+PATIENCE = Text("duration", _patience)
+SHARD = Text("shard", _shard)
 
 
 def is_fleet(path: str | Path) -> bool:

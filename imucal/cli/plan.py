@@ -30,7 +30,8 @@ from imucal.report.result import Report
 from imucal.units import DatasheetUnit
 from imucal.units import duration as duration_text
 
-SCHEMA, REST_SCHEMA = "imucal/planning/1", "imucal/calibration-plan/1"
+SCHEMA = "imucal/planning/1"
+REST_SCHEMA = "imucal/calibration-plan/1"
 _KINDS = {"scale": "scale", "misalignment": "misalignment", "bias": "bias", "g_sensitivity": "g-sensitivity"}
 
 
