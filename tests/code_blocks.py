@@ -12,6 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from imucal.noise import NoiseModel
+from imucal.simulation import write_log
+from tests.calibration.simulated import Truth, ferraris
 from tests.cli.reports import write_report
 from tests.cli.run import run
 
@@ -74,7 +77,8 @@ def run_block(language: str, text: str, folder: Path, *, kept: Kept | None = Non
 def fill_folder(folder: Path, page: Path) -> None:
     """Create the inputs of a page: the sample logs, a `log.mcap`, and a table without a header, `plain.csv`.
 
-    The log has few samples, because no page depends on its fit.
+    `calibrate.md` also gets a `ferraris.mcap`: six faces and three full turns. The `log.mcap` has few
+    samples, because no page depends on its fit.
     """
     shutil.copytree(ROOT / "sample_logs", folder / "sample_logs")
     short = ("--duration", "20s") if page.name == "README.md" else ("--rate", "10", "--duration", "6min")
@@ -86,6 +90,9 @@ def fill_folder(folder: Path, page: Path) -> None:
     noise = rng.standard_normal((n, 6)) * [1e-3, 1e-3, 1e-3, 2e-2, 2e-2, 2e-2]
     table = np.column_stack([np.arange(n) / 100.0, gravity + noise])
     np.savetxt(folder / "plain.csv", table, delimiter=",", fmt="%.7g")
+    if page.name == "calibrate.md":
+        accel_and_gyro = NoiseModel.parse("N=2e-3"), NoiseModel.parse("N=1.2e-4")
+        write_log(ferraris(Truth.draw(rng), accel_and_gyro, rng).recording(), folder / "ferraris.mcap")
     if page.name == "use-in-ci.md":
         for name in ("golden-imucal", "still-imucal"):
             write_report(folder, name)
