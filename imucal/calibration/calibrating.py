@@ -110,7 +110,6 @@ def calibrate(
     """
     if frame not in FRAMES:
         raise ArgumentError(f"no frame {frame!r}; choose one of {', '.join(FRAMES)}")
-    known = None if turns is None else known_angle(turns)
     place = gravity_at(gravity=gravity, latitude=latitude, height=height)
     accelerometer = triad(recording, Sensor.ACCELEROMETER)
     gyroscope = triad(recording, Sensor.GYROSCOPE) if gyro else None
@@ -118,6 +117,7 @@ def calibrate(
         raise DataError(
             "no accelerometer; calibration needs gravity as its reference", place=recording.source.path
         )
+    known = None if turns is None else _known_angle(turns, recording, gyroscope, gyro=gyro)
     with _in_log(recording):
         spans = find_rests(accelerometer, gyroscope, at_least_s=seconds_of(rest_at_least), in_hand=in_hand)
         require_rests(spans, accelerometer, gyroscope)
@@ -189,6 +189,17 @@ def calibrate(
         gyro_noise=gyro_noise,
     )
     return replace(found_all, findings=(*recording.findings, *findings_of(facts)))
+
+
+def _known_angle(turns: str, recording: Recording, gyroscope: Triad | None, *, gyro: bool) -> KnownAngle:
+    """Return the known angle of turns, for which there must be a gyroscope."""
+    known = known_angle(turns)
+    if not gyro:
+        raise ArgumentError("turns of a known angle calibrate the gyroscope; omit turns, or gyro=False")
+    if gyroscope is None:
+        text = "no gyroscope, which turns of a known angle calibrate; omit the angle"
+        raise DataError(text, place=recording.source.path)
+    return known
 
 
 @contextmanager
@@ -454,6 +465,11 @@ def _start(
     rad/s, None if nothing says so. A DataError is raised if no turn has the known angle.
     """
     if plain is None:
+        if known is not None:
+            raise DataError(
+                "no turn has the known angle, because none can be used: the gyroscope has gaps, is clipped "
+                "or turns for more than 60 s in each of them"
+            )
         return None, np.zeros(0), ""
     unknown = np.full(len(plain.rests), np.nan)
     try:

@@ -281,7 +281,10 @@ def _turns(facts: Facts) -> Iterator[Finding]:
             by = f", by up to {max(sizes):.2g}°" if sizes else ""
             starts = _times(turn.start_s for turn in own)
             text = f"Turns at {starts} are not used: they {finding.text}{by}."
-            yield replace(finding, text=text, axis="gyro")
+            advice = finding.advice
+            if why == "wrong" and any(turn.known_deg is not None for turn in own):
+                advice += " Check that the IMU was turned by the whole known angle."
+            yield replace(finding, text=text, advice=advice, axis="gyro")
 
 
 def _rate(facts: Facts) -> Iterator[Finding]:

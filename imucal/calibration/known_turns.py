@@ -81,7 +81,10 @@ def known_of(
 def _scale_of_counts(data: TurnData, known: KnownAngle) -> float:
     """Return the scale with which most of the larger turns in place have the known angle, 1 for rad/s."""
     raw = np.abs(np.einsum("tni,ti->t", data.rates, data.before)) * data.tau0
-    scale = known.angle / float(np.median(raw[raw >= raw.max() / 2]))
+    usual = float(np.median(raw[raw >= raw.max() / 2]))
+    if usual == 0:
+        return 1.0
+    scale = known.angle / usual
     return scale if max(scale, 1 / scale) > _COUNTS else 1.0
 
 

@@ -243,9 +243,7 @@ def _carry(data: TurnData, C: FloatArray) -> _Carried:
     to_end = to_end.transpose(1, 0, 2, 3)
     target = data.after
     carried = np.einsum("tij,tj->ti", whole, data.before)
-    helper = np.where(np.abs(target[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
-    one = np.cross(target, helper)
-    one /= np.linalg.norm(one, axis=1)[:, None]
+    one = _at_right_angles(target)
     other = np.cross(target, one)
     turn = np.repeat(np.arange(t), 2)
     tangents = np.stack([one, other], axis=1).reshape(2 * t, 3)
@@ -269,14 +267,19 @@ def _carry(data: TurnData, C: FloatArray) -> _Carried:
     )
 
 
+def _at_right_angles(directions: FloatArray) -> FloatArray:
+    """Return a unit vector at right angles to each unit vector, shape (t, 3)."""
+    helper = np.where(np.abs(directions[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    found = np.cross(directions, helper)
+    return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
+
+
 def _horizontal(before: FloatArray, after: FloatArray, known: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return a horizontal direction before each turn and where a known angle takes it, shape (t, 3) each.
 
     The angles are about the vertical, in rad. A change of the vertical itself is the shortest rotation.
     """
-    helper = np.where(np.abs(before[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
-    ahead = np.cross(before, helper)
-    ahead /= np.linalg.norm(ahead, axis=1)[:, None]
+    ahead = _at_right_angles(before)
     axis = np.cross(before, after)
     sine = np.linalg.norm(axis, axis=1)
     angle = np.arctan2(sine, np.einsum("ti,ti->t", before, after))

@@ -17,10 +17,10 @@ from imucal.cli._printing import (
     wrapped,
 )
 from imucal.cli._report_input import read_report
-from imucal.cli.context import is_set
+from imucal.cli.context import is_set, misuse
 from imucal.cli.fit import report_folder
 from imucal.cli.log_request import LogRequest
-from imucal.cli.options import OUTPUT, Command, context_flag, flag, log_options, option, unwrapped
+from imucal.cli.options import OUTPUT, Command, context_flag, flag, log_options, option, out_option, unwrapped
 from imucal.cli.param_types import ANGLE, DURATION, PATH, Number
 from imucal.cli.simulate import log_to_write
 from imucal.errors import ChoiceError, DataError, Fix, ImucalError
@@ -39,6 +39,7 @@ Examples:
   imucal calibrate poses.mcap --noise still-imucal --latitude 47.4
   imucal calibrate poses.csv --gravity 9.8072 -o calibration
   imucal calibrate poses.bag --apply corrected.mcap
+  imucal calibrate table.mcap --turns 360deg
   imucal export calibration --to openvins -o imu.yaml
 
 Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 it can't be calibrated
@@ -89,12 +90,8 @@ Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 it can't be calibrated
     help="Also write the corrected log: .csv, .mcap or .bag.",
 )
 @context_flag("--force", help="Write the result even if a finding is an error.")
-@option(
-    "-o",
-    "--out",
-    group=OUTPUT,
-    metavar="DIR",
-    type=PATH,
+@out_option(
+    "DIR",
     help="Write the result to DIR. [default: NAME-calibration]",
 )
 @flag("--json", "as_json", group=OUTPUT, help="Print calibration.json on standard output.")
@@ -134,6 +131,8 @@ def command(
     from imucal.calibration.writer import check_folder
     from imucal.report.json_node import dumps
 
+    if turns and no_gyro:
+        misuse("turns of a known angle calibrate the gyroscope; omit one of them", "--turns", "--no-gyro")
     folder = out or report_folder(request.logs[0], "calibration")
     if not no_files:
         check_folder(folder)

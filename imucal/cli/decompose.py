@@ -20,10 +20,11 @@ from imucal.cli.options import (
     log_options,
     model,
     option,
+    out_option,
     pictures,
     unwrapped,
 )
-from imucal.cli.param_types import DURATION, PATH
+from imucal.cli.param_types import DURATION
 from imucal.errors import DataError
 from imucal.grading import remedy
 from imucal.recording import AxisSeries, Recording, Sensor
@@ -65,12 +66,8 @@ written, 130 interrupted.
     help="Time between rows of the CSV. [default: at most 10000 rows]",
 )
 @force
-@option(
-    "-o",
-    "--out",
-    group=OUTPUT,
-    metavar="DIR",
-    type=PATH,
+@out_option(
+    "DIR",
     help="Write the files to DIR. [default: NAME-decomposed]",
 )
 @flag("--json", "as_json", group=OUTPUT, help="Print decomposition.json on standard output.")

@@ -15,10 +15,11 @@ from imucal.cli.options import (
     flag,
     force,
     option,
+    out_option,
     report_options,
     unwrapped,
 )
-from imucal.cli.param_types import DURATION, PATH, Text
+from imucal.cli.param_types import DURATION, Text
 from imucal.clock import seconds_of
 from imucal.grading import remedy
 from imucal.prediction import Drift, drift
@@ -64,12 +65,8 @@ are not noise at rest, 5 the picture can't be written.
 )
 @flag("--all-axes", help="Show every axis instead of each sensor's worst.")
 @force
-@option(
-    "-o",
-    "--out",
-    group=OUTPUT,
-    metavar="FILE",
-    type=PATH,
+@out_option(
+    "FILE",
     help="Also draw a picture to FILE: .png, .svg or .pdf.",
 )
 @flag("--json", "as_json", group=OUTPUT, help="Print the drift as JSON (SI) on standard output.")

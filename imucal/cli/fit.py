@@ -21,11 +21,11 @@ from imucal.cli.options import (
     log_options,
     model,
     option,
+    out_option,
     pictures,
     si_units,
     unwrapped,
 )
-from imucal.cli.param_types import PATH
 from imucal.fitting import METHODS
 from imucal.grading import remedy, unit_fix
 from imucal.printable import printable_json
@@ -50,12 +50,8 @@ result (with --strict: or a warning), 5 report not writable, 130 interrupted.
 
 @click.command(cls=Command, epilog=_EPILOG)
 @force
-@option(
-    "-o",
-    "--out",
-    group=OUTPUT,
-    metavar="DIR",
-    type=PATH,
+@out_option(
+    "DIR",
     help="Folder of the report. [default: NAME-imucal]",
 )
 @flag("--open", "opened", group=OUTPUT, help="Open the page in the browser.")

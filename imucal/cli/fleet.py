@@ -33,12 +33,15 @@ from imucal.cli.options import (
     flag,
     logs_argument,
     option,
+    out_option,
     quiet,
     reading_options,
+    skip,
+    take,
     topic,
     unwrapped,
 )
-from imucal.cli.param_types import DURATION, FILE, LEVEL, PATH, SHARE, Number
+from imucal.cli.param_types import FILE, LEVEL, PATH, SHARE, Number
 from imucal.errors import ImucalError
 from imucal.grading import GRADES
 
@@ -139,35 +142,16 @@ Exit codes: 0 done, 2 usage, 3 no log can be read, 4 more logs failed than
     help="Exit with code 4 if more than this share of logs fails.",
 )
 @flag("--dry-run", help="Print the plan without writing anything.")
-@option(
-    "-o",
-    "--out",
-    group=OUTPUT,
-    metavar="DIR",
-    type=PATH,
+@out_option(
+    "DIR",
     default="fleet",
     show_default=True,
     help="Write the results to DIR; logs already in it are skipped.",
 )
 @quiet
 @topic
-@option(
-    "--skip",
-    "skip_s",
-    group=SAMPLES,
-    metavar="TIME",
-    type=DURATION,
-    default=0.0,
-    help="Skip the start of each log, such as 5min.",
-)
-@option(
-    "--take",
-    "take_s",
-    group=SAMPLES,
-    metavar="TIME",
-    type=DURATION,
-    help="Read only this much of each log, such as 2h.",
-)
+@skip
+@take
 @reading_options
 @flag("--strict", group=SAMPLES, help="Refuse damaged logs.")
 @option("--model", group=MODEL, metavar="TEXT", help=f"Fit these terms to every log. [default: {_MODEL}]")

@@ -14,6 +14,7 @@ from imucal.cli.param_types import (
     COUNT,
     DURATION,
     LEVEL,
+    PATH,
     RATE,
     SCALE,
     STRUCTURE,
@@ -118,6 +119,11 @@ def unwrapped(text: str) -> str:
     return "\n\n".join(f"\b\n{block}" for block in text.strip("\n").split("\n\n"))
 
 
+def out_option(metavar: str, **attributes: Any) -> Decorator:  # noqa: ANN401
+    """Declare the option for the path of the result, with click's `attributes`."""
+    return option("-o", "--out", group=OUTPUT, metavar=metavar, type=PATH, **attributes)
+
+
 def fleet_model(*, group: str = OPTIONS) -> Decorator:
     """Declare the option for one sensor model of a fleet."""
     text = "Of a fleet with several sensor models: this one."
@@ -167,7 +173,7 @@ topic = option(
     multiple=True,
     help="IMU topic; give two if the sensors are separate.",
 )
-_skip = option(
+skip = option(
     "--skip",
     "skip_s",
     group=SAMPLES,
@@ -176,7 +182,7 @@ _skip = option(
     default=0.0,
     help="Leave out the start, such as 5min.",
 )
-_take = option(
+take = option(
     "--take", "take_s", group=SAMPLES, metavar="TIME", type=DURATION, help="Use only this much, such as 2h."
 )
 _time = option("--time", group=SAMPLES, metavar="CLOCK", help="Time stamps: 'header', 'log', or a column.")
@@ -324,8 +330,8 @@ log_options = all_of(
     [
         logs_argument("LOG...", required=True),
         topic,
-        _skip,
-        _take,
+        skip,
+        take,
         reading_options,
         _join,
         _strict,
@@ -361,8 +367,8 @@ report_options = all_of(
         model_options,
         _rate_of_model,
         topic,
-        _skip,
-        _take,
+        skip,
+        take,
         _time,
         _columns,
         _message_definition,

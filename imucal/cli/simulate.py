@@ -6,8 +6,8 @@ import click
 
 from imucal.cli._printing import echo, picked, print_json, print_note
 from imucal.cli.context import misuse
-from imucal.cli.options import OUTPUT, Command, flag, option, quiet, unwrapped
-from imucal.cli.param_types import DURATION, PATH, RATE, Number, Text, model_of
+from imucal.cli.options import OUTPUT, Command, flag, option, out_option, quiet, unwrapped
+from imucal.cli.param_types import DURATION, RATE, Number, Text, model_of
 from imucal.clock import seconds_of
 from imucal.noise import NoiseModel
 from imucal.recording import Sensor
@@ -91,12 +91,8 @@ Examples:
     show_default=True,
     help="Seed of the random numbers.",
 )
-@option(
-    "-o",
-    "--out",
-    group=OUTPUT,
-    metavar="FILE",
-    type=PATH,
+@out_option(
+    "FILE",
     callback=log_to_write,
     required=True,
     help="Write the log to FILE: .csv, .mcap, .bag, .db3, or a folder (ROS 2).",

@@ -9,9 +9,11 @@ import pytest
 from imucal.arrays import FloatArray
 from imucal.calibration import Calibration, calibrate
 from imucal.calibration.frames import rotation_to
-from imucal.calibration.known_turns import KnownAngle, known_angle
+from imucal.calibration.known_turns import KnownAngle, known_angle, known_of
+from imucal.calibration.turn_data import TurnData
 from imucal.errors import ArgumentError, DataError
 from imucal.noise import NoiseModel
+from imucal.recording import Sensor
 from tests.calibration.simulated import FACES, GRAVITY, Truth, ferraris, log, truth_inside, within_binomial
 
 NOISE = NoiseModel.parse("N=2e-3 + B=3e-4"), NoiseModel.parse("N=1.2e-4 + B=2e-5")
@@ -128,3 +130,45 @@ def test_without_a_turn_in_place_the_angle_is_refused() -> None:
     truth = Truth.draw(rng)
     with pytest.raises(DataError, match="no turn ends in the attitude in which it began"):
         calibrate(log(truth, NOISE, FACES, rng).recording(), gravity=GRAVITY, turns="360deg")
+
+
+@pytest.mark.parametrize("kind", ["gaps", "zero", "none", "left out"])
+def test_an_angle_that_cannot_be_used_is_never_ignored(kind: str) -> None:
+    """Gaps in every turn, rates of zero, no gyroscope, or one that is left out."""
+    rng = np.random.default_rng(8_970)
+    one = ferraris(Truth.draw(rng), NOISE, rng)
+    rates = one.gyroscope.copy()
+    for first, end in zip(one.spans[:-1, 1], one.spans[1:, 0], strict=True):
+        if kind == "gaps":
+            rates[first + 50 : end - 50] = np.nan
+        elif kind == "zero":
+            rates[first:end] = one.gyroscope[: one.spans[0, 1]].mean(axis=0)
+    recording = replace(one, gyroscope=rates).recording()
+    if kind == "none":
+        kept = tuple(series for series in recording.series if series.sensor is Sensor.ACCELEROMETER)
+        recording = replace(recording, series=kept)
+    if kind == "left out":
+        with pytest.raises(ArgumentError, match="calibrate the gyroscope"):
+            calibrate(recording, gravity=GRAVITY, turns="360deg", gyro=False)
+        return
+    if kind == "zero":
+        found = calibrate(recording, gravity=GRAVITY, turns="360deg")
+        assert found.verdict == "not-usable"
+        return
+    with pytest.raises(DataError, match="no gyroscope" if kind == "none" else "none can be used"):
+        calibrate(recording, gravity=GRAVITY, turns="360deg")
+
+
+def test_rates_of_zero_have_no_angle() -> None:
+    """The IMU was shaken in place, and its gyroscope measured nothing."""
+    data = TurnData(
+        rates=np.zeros((1, 10, 3)),
+        spans=np.array([[500, 510]]),
+        share=np.zeros((1, 10)),
+        rests=np.array([0]),
+        up=np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]),
+        tau0=0.01,
+        known=np.full(1, np.nan),
+    )
+    with pytest.raises(DataError, match=r"no turn by 360° was found: the turns in place have 0° at 5\.0 s"):
+        known_of(data, np.eye(3), known_angle("360deg"), said_si=False)
