@@ -14,7 +14,6 @@ __all__ = [
     "forks",
     "logs_are_done_here",
     "machine_is_asked_once",
-    "pairs_are_found_once",
     "pictures_are_blank",
     "pytest_addoption",
     "pytest_collection_modifyitems",
@@ -85,30 +84,6 @@ def pictures_are_blank() -> Iterator[None]:
 
     with blank_pictures():
         yield
-
-
-@pytest.fixture
-def pairs_are_found_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compute the covering pair of the same fits once, because pages and files request it repeatedly.
-
-    A pair takes 2 to 3 ms, and its calculation has its own tests.
-    """
-    from imucal.report.exports import config_numbers
-
-    monkeypatch.setattr(config_numbers, "filter_numbers", _pair)
-
-
-#: Fits and options -> the fits, which must stay alive because their ids are the key, and their pair.
-_PAIRS: dict[tuple[object, ...], tuple[object, object]] = {}
-
-
-def _pair(fits: list[object], **options: object) -> object:
-    from imucal.prediction.filter_numbers import filter_numbers
-
-    key = (*map(id, fits), *options.items())
-    if key not in _PAIRS:
-        _PAIRS[key] = fits, filter_numbers(fits, **options)  # type: ignore[arg-type]
-    return _PAIRS[key][1]
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -181,14 +181,6 @@ def _has_no_likelihood(fit: NoiseFit) -> bool:
     return fit.method == "slope" or given
 
 
-def usual_pairs(fits: Sequence[NoiseFit]) -> tuple[FilterNumbers, ...]:
-    """Return the pairs for filters with cameras or lidars, and for others; () if nothing is known."""
-    try:
-        return tuple(filter_numbers(fits, horizon_s=horizon) for horizon in (CAMERA_HORIZON_S, HORIZON_S))
-    except DataError:
-        return ()
-
-
 def correlation_times(fits: Sequence[NoiseFit], *, horizon_s: float = HORIZON_S) -> tuple[float, ...]:
     """Return possible correlation times of a Gauss-Markov bias, in s, longest first.
 

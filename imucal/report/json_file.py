@@ -34,7 +34,7 @@ from imucal.fitting.noise_fit import (
 )
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import ALWAYS, TERMS
-from imucal.prediction.filter_numbers import FilterNumbers, usual_pairs
+from imucal.prediction.filter_numbers import FilterNumbers
 from imucal.recording import LogFileInfo, ReadRange, Sensor, Source
 from imucal.report import numbers
 from imucal.report.json_node import (
@@ -256,7 +256,7 @@ def _header(report: Report) -> JsonObject:
 def _pair_entries(report: Report) -> Iterator[JsonObject]:
     """Yield the numbers for coasting for 1 min and 5 min."""
     for sensor, axes in report.by_sensor.items():
-        for pair in usual_pairs([axis.fit for axis in axes]):
+        for pair in report.usual_pairs(axes):
             units = {"white_unit": TERMS["N"].unit(sensor), "walk_unit": TERMS["K"].unit(sensor)}
             names = [axis.name for axis in axes]
             yield {"sensor": sensor, "axes": names, **_pair_document(pair), **units}

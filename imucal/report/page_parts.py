@@ -16,7 +16,6 @@ from imucal.findings import Finding, options_to_keep
 from imucal.fitting.noise_fit import Estimate, NoiseFit, Segments, Trace
 from imucal.noise.terms import TERMS
 from imucal.prediction import drift
-from imucal.prediction.filter_numbers import usual_pairs
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.exports import TARGETS
@@ -254,7 +253,7 @@ def downstream_section(report: Report) -> Markup:
         pairs=[
             (sensor, pair, itself(axes, numbers.scientific), price(pair).replace(" x ", " × "))
             for sensor, axes in report.by_sensor.items()
-            for pair in usual_pairs([axis.fit for axis in axes])
+            for pair in report.usual_pairs(axes)
         ],
         terms=TERMS,
         scientific=numbers.scientific,

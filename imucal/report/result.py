@@ -1,7 +1,8 @@
 """The results of a run as values; renderers are functions of a `Report`."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -9,11 +10,19 @@ from imucal.allan.dct import Spectrum
 from imucal.arrays import FloatArray, ReadOnlyArrays
 from imucal.clock import Gap
 from imucal.display import Displayed
-from imucal.errors import MissingError
+from imucal.errors import DataError, MissingError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.frozen import frozen_alone
 from imucal.grading import NoiseVerdict, judge_findings
+from imucal.prediction.filter_numbers import (
+    CAMERA_HORIZON_S,
+    HORIZON_S,
+    STEP_S,
+    FilterNumbers,
+    Joined,
+    filter_numbers,
+)
 from imucal.recording import Axis, AxisSeries, Sensor, Source
 
 #: Shorter records do not show the errors of filters that coast for a minute, a fifth of this.
@@ -100,9 +109,9 @@ class AxisReport(Displayed):
         return (white.high - white.low) / (2 * white.value) if white.value and self.samples else np.inf
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Report(Displayed):
-    """A characterised recording.
+    """A characterised recording. It computes its verdict and each pair for filters once.
 
     Attributes
     ----------
@@ -137,7 +146,11 @@ class Report(Displayed):
         """The findings of the log and of every axis."""
         return self.findings + tuple(finding for axis in self.axes for finding in axis.findings)
 
-    @property
+    def with_findings(self, added: tuple[Finding, ...]) -> "Report":
+        """Return the report with findings about the whole log added."""
+        return replace(self, findings=self.findings + added) if added else self
+
+    @cached_property
     def verdict(self) -> NoiseVerdict:
         """Whether the data are stationary noise, and how precise N is."""
         errors = {axis.name: axis.white_error for axis in self.axes if np.isfinite(axis.white_error)}
@@ -146,6 +159,36 @@ class Report(Displayed):
         return judge_findings(
             self.all_findings, list(dict.fromkeys(names)), errors=errors, too_short=self._too_short
         )
+
+    def covering(
+        self,
+        fits: Sequence[NoiseFit],
+        *,
+        horizon_s: float,
+        step_s: float = STEP_S,
+        joined: Joined = "worst",
+        time_s: float | None = None,
+    ) -> FilterNumbers:
+        """Return the white noise and walk that cover some axes; arguments and errors of `filter_numbers`."""
+        request = (*fits, horizon_s, step_s, joined, time_s)
+        if request not in self._pairs:
+            self._pairs[request] = filter_numbers(
+                fits, horizon_s=horizon_s, step_s=step_s, joined=joined, time_s=time_s
+            )
+        return self._pairs[request]
+
+    def usual_pairs(self, axes: Sequence[AxisReport]) -> tuple[FilterNumbers, ...]:
+        """Return the pairs for filters with cameras or lidars, and for others; () if nothing is known."""
+        fits = [axis.fit for axis in axes]
+        try:
+            return tuple(self.covering(fits, horizon_s=horizon) for horizon in (CAMERA_HORIZON_S, HORIZON_S))
+        except DataError:
+            return ()
+
+    @cached_property
+    def _pairs(self) -> dict[tuple[object, ...], FilterNumbers]:
+        """The results of `covering`."""
+        return {}
 
     @property
     def _too_short(self) -> bool:

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -91,7 +90,7 @@ def _contents(
     """Return name -> content; page and report.json list failed pictures."""
     contents: dict[str, bytes] = dict(drawings.files)
     failures = tuple(drawings.failures)
-    report = replace(report, findings=report.findings + failures)
+    report = report.with_findings(failures)
     if html:
         from imucal.report import html_page
 
@@ -103,7 +102,7 @@ def _contents(
         )
         if page is not None:
             contents["report.html"] = page
-        report = replace(report, findings=report.findings + failed)
+        report = report.with_findings(failed)
         failures += failed
     contents[SIGNAL_FILE] = dumps(signal_document(report)).encode()
     contents[_REPORT] = dumps(to_document(report)).encode()

@@ -33,7 +33,6 @@ PAIR = model_as_report(
     {s: f"N={N[s]} + K={K[s]} + B={0.3 * math.sqrt(N[s] * K[s])}" for s in Sensor}, rate_hz=RATE_HZ
 )
 consumer_report = cache(make_consumer_report)
-pytestmark = pytest.mark.usefixtures("pairs_are_found_once")
 
 
 def read_back(folder: Path, text: str, report: Report = PAIR) -> dict[str, Row]:

@@ -31,8 +31,6 @@ from tests.report.downstream import READERS, Recovered, opencv
 from tests.report.synthetic import axis_report, small_report
 from tests.report.synthetic import consumer_report as make_consumer_report
 
-pytestmark = pytest.mark.usefixtures("pairs_are_found_once")
-
 GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
 _AXES: tuple[Axis, ...] = ("x", "y", "z")
 #: Reports are immutable, so one of each kind is enough.

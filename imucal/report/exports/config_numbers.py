@@ -20,7 +20,6 @@ from imucal.prediction.filter_numbers import (
     STEP_S,
     FilterNumbers,
     correlation_times,
-    filter_numbers,
 )
 from imucal.recording import Axis, Sensor
 from imucal.report.result import AxisReport, Report
@@ -220,7 +219,7 @@ class Numbers:
 
         The factor for flicker inflates the spectra; those for white noise and walk inflate the pair.
         """
-        found = filter_numbers(
+        found = self.report.covering(
             [self._inflated(axis.fit) for axis in axes],
             horizon_s=self.horizon_s,
             step_s=self.options.step_s,
