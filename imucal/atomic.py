@@ -66,20 +66,6 @@ def _refuse_foreign(path: Path, ours: str | None) -> None:
         raise WriteError(msg)
 
 
-@contextmanager
-def alone(path: Path) -> Iterator[None]:
-    """Hold the lock of a folder or a new file, if the file system has locks; other processes wait for it."""
-    handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR | os.O_CREAT, 0o666)
-    try:
-        with suppress(ImportError, OSError):
-            import fcntl
-
-            fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)
-
-
 def sweep(scratch: Iterable[Path]) -> None:
     """Remove scratch folders of killed runs."""
     for folder in scratch:

@@ -20,6 +20,7 @@ BELOW: dict[str, set[str]] = {
     "clock": {"errors", "frozen"},
     "display": set(),
     "evidence": {"units"},
+    "locks": set(),
     "printable": set(),
     "resources": {"errors"},
     "recording": {"arrays", "clock", "display", "errors", "findings", "frozen"},
@@ -29,7 +30,7 @@ BELOW: dict[str, set[str]] = {
     "units": {"frozen", "recording"},
 }
 BASE = set(BELOW)
-BELOW["remote"] = {"_version", "errors", "frozen", "resources"}
+BELOW["remote"] = {"_version", "errors", "frozen", "locks", "resources"}
 BELOW |= {
     "readers": BASE | {"remote"},
     "screening": BASE,

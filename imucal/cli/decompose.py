@@ -31,6 +31,7 @@ from imucal.recording import AxisSeries, Recording, Sensor
 
 if TYPE_CHECKING:
     from imucal.fitting.noise_fit import NoiseFit
+    from imucal.report.out_folder import FilesOfFolder
 
 _SHAPES = {
     "exp": "a warm-up",
@@ -96,44 +97,48 @@ def command(
     standard errors (_se). decomposition.json contains the model.
     """
     from imucal.pipeline import Settings, characterize
-    from imucal.report.figure_bias import SCHEMA, check_folder, write_document
+    from imucal.report.figure_bias import DOCUMENT, SCHEMA, out_folder
+    from imucal.report.json_node import dumps
 
     if every == 0:
         misuse("expected a time above 0, such as 10s", "--every")
-    folder = out or report_folder(request.logs[0], "decomposed")
-    check_folder(folder)
+    folder = out_folder(out or report_folder(request.logs[0], "decomposed"))
+    folder.check()
     recording = _only(request.read(), axes)
     settings = Settings(model=model, clean=not no_clean, reading=request.settings())
     with progress(*FITTING) as update:
         report = characterize(recording, settings, progress=update)
     print_findings(report.all_findings)
     path = recording.source.path
-    described, failed = [], False
-    for axis in report.axes:
-        series = recording.axis(axis.sensor, axis.axis)
-        asked = {"formats": formats, "every_s": every, "arrays": npz, "source": path}
-        try:
-            described.append(_decompose_axis(series, axis.fit, folder, clean=not no_clean, **asked))
-        except DataError as error:
-            echo(f"Error: {error}", err=True)
-            failed = True
-    if not described:
-        raise DataError(f"{path}: no axis can be decomposed")
-    document: dict[str, object] = {
-        "schema": SCHEMA,
-        "version": __version__,
-        "source": {"path": path, "format": recording.source.format},
-        "settings": {**settings.document(), "every_s": every},
-        "axes": described,
-    }
-    written = write_document(document, folder)
+    described = []
+    failed = False
+    asked = {"formats": formats, "every_s": every, "arrays": npz, "source": path}
+    with folder.filling() as files:
+        for axis in report.axes:
+            series = recording.axis(axis.sensor, axis.axis)
+            try:
+                described.append(_decompose_axis(series, axis.fit, files, clean=not no_clean, **asked))
+            except DataError as error:
+                echo(f"Error: {error}", err=True)
+                failed = True
+        if not described:
+            raise DataError("no axis can be decomposed", place=path)
+        document: dict[str, object] = {
+            "schema": SCHEMA,
+            "version": __version__,
+            "source": {"path": path, "format": recording.source.format},
+            "settings": {**settings.document(), "every_s": every},
+            "axes": described,
+        }
+        files.add(DOCUMENT, dumps(document).encode())
     if as_json:
         print_json(document, indent=1)
     else:
         echo(_table(described))
-    print_note(written)
+    for written in files.paths:
+        print_note(written)
     findings = report.all_findings
-    refuse(report.verdict, path, f"{folder} was written", findings=findings, remedy=remedy(findings))
+    refuse(report.verdict, path, f"{folder.path} was written", findings=findings, remedy=remedy(findings))
     if failed:
         click.get_current_context().exit(DataError.exit_code)
 
@@ -149,7 +154,7 @@ def _only(recording: Recording, axes: tuple[str, ...]) -> Recording:
 
 
 def _decompose_axis(
-    series: AxisSeries, fit: "NoiseFit", folder: Path, *, clean: bool, **asked: Any  # noqa: ANN401
+    series: AxisSeries, fit: "NoiseFit", files: "FilesOfFolder", *, clean: bool, **asked: Any  # noqa: ANN401
 ) -> dict[str, object]:  # fmt: skip
     """Decompose one axis and write its files; return its entry of the document."""
     from imucal.fitting.decomposition import decompose
@@ -162,9 +167,7 @@ def _decompose_axis(
         print_note(f"{series.name}: {text}")
     with progress(f"decomposing {series.name}", "TaskProgressColumn") as update:
         parts = decompose(series, fit, clean=clean, progress=update)
-    paths = write_decomposition(parts, folder, **asked)
-    for path in paths:
-        print_note(path)
+    paths = write_decomposition(parts, files, **asked)
     return axis_document(parts, paths)
 
 

@@ -18,8 +18,9 @@ from typing import Any
 
 import polars as pl
 
-from imucal.atomic import alone, replacing, sweep, sync_folder
+from imucal.atomic import replacing, sweep, sync_folder
 from imucal.errors import ReadError, StoreError, WriteError
+from imucal.locks import locked
 
 #: Results of a log. The first three depend on the log alone; the others may change in another run.
 STATUSES = ("ok", "unreadable", "no-data", "memory", "timeout", "crash")
@@ -137,7 +138,7 @@ class FleetStore:
 
     def add_to_manifest(self, rows: pl.DataFrame) -> pl.DataFrame:
         """Add logs to the manifest, or change their labels; return it."""
-        with translated(self.folder), alone(self.folder / ".lock"):
+        with translated(self.folder), locked(self.folder / ".lock"):
             if self.exists:
                 old = self.manifest()
                 others = old.join(rows.select("path"), on="path", how="anti")

@@ -14,6 +14,7 @@ from uuid import uuid4
 
 from imucal.errors import ReadError
 from imucal.frozen import frozen
+from imucal.locks import locked
 from imucal.remote.addresses import (
     Attempts,
     ChangedError,
@@ -26,40 +27,9 @@ from imucal.remote.addresses import (
 from imucal.remote.stores import identify, store_of
 from imucal.resources import size_setting
 
-try:
-    import fcntl
-except ImportError:  # Windows: open files can't be removed
-    fcntl = None  # type: ignore[assignment]
-
-
-@contextmanager
-def locked(path: Path, *, shared: bool = False, wait: bool = True) -> Iterator[bool]:
-    """Hold the lock file `path`; yield whether the lock was acquired.
-
-    The holder of an exclusive lock may remove the file, so waiting processes then lock the new one.
-    """
-    while True:
-        file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
-        try:
-            had = True
-            if fcntl is not None:
-                kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
-                try:
-                    fcntl.flock(file, kind if wait else kind | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    had = False
-            # Check that the file was not replaced.
-            same = not had
-            with suppress(OSError):
-                same = same or os.path.samestat(os.fstat(file), path.stat())
-            if same:
-                yield had
-                return
-        finally:
-            os.close(file)
-
-
-FOLDER, SIZE = "IMUCAL_CACHE", "IMUCAL_CACHE_SIZE"
+#: Environment variables of the cache: its folder, and its size in bytes.
+FOLDER = "IMUCAL_CACHE"
+SIZE = "IMUCAL_CACHE_SIZE"
 #: Default size in bytes.
 _DEFAULT_SIZE = 10 << 30
 #: Bytes left free.

@@ -1,9 +1,8 @@
 """The files of a decomposition: table, arrays, a document about all axes, picture of bias and parts."""
 
 import io
-import json
-import os
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +10,6 @@ import numpy as np
 
 from imucal._version import __version__
 from imucal.arrays import FloatArray
-from imucal.atomic import make_folder, replacing
-from imucal.errors import WriteError
 from imucal.fitting.decomposition import Decomposition
 from imucal.fitting.wiener import Component
 from imucal.noise.term import Stroke
@@ -35,17 +32,26 @@ from imucal.report.figure_style import (
     write_head,
 )
 from imucal.report.json_node import JsonObject, picked
-from imucal.report.out_folder import held_by, home_of
+from imucal.report.out_folder import FilesOfFolder, OutFolder
 from imucal.units import pretty, time_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Inches.
-_TOP, _PART, _SPACE, _HEAD, _FOOT = 3.4, 1.3, 0.36, 0.74, 0.78
-_LEFT, _RIGHT = 0.095, 0.985
-_POINTS, _AVERAGES = 1500, 1000
+#: Heights in inches: the bias, one of its parts, the space between two parts, the head and the foot.
+_TOP = 3.4
+_PART = 1.3
+_SPACE = 0.36
+_HEAD = 0.74
+_FOOT = 0.78
+#: Sides of the axes, as fractions of the width.
+_LEFT = 0.095
+_RIGHT = 0.985
+#: Largest number of points of a line; the eye sees no more at this width.
+_POINTS = 1500
+#: Number of averages of the samples that are drawn.
+_AVERAGES = 1000
 #: Half the width of the band, in standard errors.
 _BAND = 2.0
 
@@ -163,56 +169,37 @@ def _style(axes: "Axes", view: _View, label: str, drawn: list[FloatArray]) -> No
     axes.yaxis.set_label_coords(-0.06, 0.5)
 
 
-#: The document marks the folder of a decomposition.
-SCHEMA, DOCUMENT = "imucal/decomposition/1", "decomposition.json"
+SCHEMA = "imucal/decomposition/1"
+#: File that marks the folder of a decomposition.
+DOCUMENT = "decomposition.json"
+#: Names of the files that a decomposition writes.
+_OWN = re.compile(r"(gyro|accel)_[xyz]\.(csv|npz|png|svg|pdf)|decomposition\.json")
 #: Largest number of rows of a table by default.
 _ROWS = 10_000
 
 
-def check_folder(out: Path) -> None:
-    """Raise a WriteError if a folder is foreign or can't be written; call it before long work."""
-    try:
-        held, home = held_by(out), home_of(out)
-    except OSError as error:
-        msg = f"{out}: can't be read: {error.strerror or error}; choose another folder"
-        raise WriteError(msg) from error
-    if held and not (out / DOCUMENT).exists():
-        raise WriteError(f"{out}: contains {held} but no imucal decomposition; choose another folder")
-    if not (home.is_dir() and os.access(home, os.W_OK | os.X_OK)):
-        message = f"can't be created: {home} is not writable; choose another folder"
-        if home is out:
-            message = "is not writable; choose another folder"
-        raise WriteError(f"{out}: {message}")
+def out_folder(out: Path) -> OutFolder:
+    """Return the folder that a decomposition is written to."""
+    return OutFolder(path=out, what="imucal decomposition", document=DOCUMENT, schema=SCHEMA, own=_OWN)
 
 
 def write_decomposition(
-    parts: Decomposition, out: Path, *, formats: Sequence[str] = ("png",), every_s: float | None = None,
-    arrays: bool = False, source: str = "",
+    parts: Decomposition, files: FilesOfFolder, *, formats: Sequence[str] = ("png",),
+    every_s: float | None = None, arrays: bool = False, source: str = "",
 ) -> tuple[Path, ...]:  # fmt: skip
-    """Write the files of one axis into a folder, each complete or not at all; return their paths.
+    """Write the files of one axis; return the paths at which they will appear.
 
     With `arrays`, NAME.npz has the rate of the samples. The table has at most 10 000 rows by default.
     `source` is the log's name. Raises WriteError.
     """
     name = parts.series.name
-    made: dict[str, Callable[[], bytes]] = {f"{name}.csv": lambda: table(parts, every_s=every_s).encode()}
+    paths = [files.add(f"{name}.csv", table(parts, every_s=every_s).encode())]
     for form in formats:
-        made[f"{name}.{form}"] = lambda form=form: drawing.render(bias_figure(parts, source=source), form)  # type: ignore[misc]
+        picture = drawing.render(bias_figure(parts, source=source), form)
+        paths.append(files.add(f"{name}.{form}", picture))
     if arrays:
-        made[f"{name}.npz"] = lambda: _arrays(parts)
-    return tuple(_write(out / file, content()) for file, content in made.items())
-
-
-def write_document(document: JsonObject, out: Path) -> Path:
-    """Write the document about all axes; return its path."""
-    return _write(out / DOCUMENT, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
-
-
-def _write(path: Path, content: bytes) -> Path:
-    make_folder(path.parent)
-    with replacing(path) as scratch:
-        scratch.write_bytes(content)
-    return path
+        paths.append(files.add(f"{name}.npz", _arrays(parts)))
+    return tuple(paths)
 
 
 def table(parts: Decomposition, *, every_s: float | None = None) -> str:

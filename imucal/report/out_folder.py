@@ -11,10 +11,11 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from imucal.atomic import alone, sweep, sync_folder
+from imucal.atomic import sweep, sync_folder
 from imucal.errors import WriteError
+from imucal.locks import locked
 
-__all__ = ["OutFolder", "has_schema", "held_by", "home_of"]
+__all__ = ["FilesOfFolder", "OutFolder", "has_schema", "held_by", "home_of"]
 
 _SCRATCH = re.compile(r"\.imucal-.*\.tmp")
 _BEGUN = "begun.json"
@@ -25,7 +26,7 @@ _NAMED = 3
 class OutFolder:
     """A folder of results that is written as a whole; other files in it are kept.
 
-    `write` first writes all files, and forces them to disk, in a scratch folder on the same file system. A
+    `filling` first writes all files, and forces them to disk, in a scratch folder on the same file system. A
     new folder then appears in one step. In an existing one, each file is replaced in one step and the
     document comes last; until then it contains only its schema and the key ``incomplete``. An earlier
     failure changes nothing.
@@ -49,7 +50,7 @@ class OutFolder:
 
     def refuse_foreign(self, names: Iterable[str] = ()) -> None:
         """Raise a WriteError for a foreign folder, or foreign files with these names."""
-        with self._translated():
+        with self.translated():
             # Look for files first: a folder of another run appears in one step.
             held = held_by(self.path)
             if held and not (self.shared or has_schema(self.path / self.document, self.schema)):
@@ -64,24 +65,42 @@ class OutFolder:
 
     def check(self) -> None:
         self.refuse_foreign()
-        with self._translated():
+        with self.translated():
             home = home_of(self.path)
             fine = {errno.ENOTDIR: home.is_dir(), errno.EACCES: os.access(home, os.W_OK | os.X_OK)}
             if wrong := [code for code in fine if not fine[code]]:
                 raise OSError(wrong[0], os.strerror(wrong[0]))
 
     def write(self, contents: Mapping[str, bytes]) -> tuple[Path, ...]:
-        """Write files, the document first in `contents`; return their paths. Raises WriteError."""
+        """Write files; return their paths. Raises WriteError."""
         self.refuse_foreign(contents)
-        with self._translated(), self._scratch() as scratch:
+        with self.filling() as files:
             for name, content in contents.items():
-                _write(scratch / name, content)
-            sync_folder(scratch)
-            self._publish(scratch, list(contents))
-        return tuple(self.path / name for name in contents)
+                files.add(name, content)
+        return files.paths
 
     @contextmanager
-    def _translated(self) -> Iterator[None]:
+    def filling(self) -> Iterator["FilesOfFolder"]:
+        """Yield a value that takes the files one by one; they appear at the end of the block.
+
+        An exception in the block changes nothing. Raises WriteError.
+        """
+        self.refuse_foreign()
+        with self.translated():
+            scratch = self._new_scratch()
+        try:
+            files = FilesOfFolder(self, scratch)
+            yield files
+            with self.translated():
+                sync_folder(scratch)
+                self._publish(scratch, files.names)
+        finally:
+            with suppress(OSError):
+                shutil.rmtree(scratch)
+
+    @contextmanager
+    def translated(self) -> Iterator[None]:
+        """Raise a WriteError for an OSError."""
         try:
             yield
         except OSError as error:
@@ -93,19 +112,14 @@ class OutFolder:
             problem = f"{self._results} can't be written: {reason}"
             raise WriteError(f"{self.path}: {problem}; nothing was changed; {advice}") from error
 
-    @contextmanager
-    def _scratch(self) -> Iterator[Path]:
+    def _new_scratch(self) -> Path:
         home = self.path if self.path.is_dir() else self.path.parent
         home.mkdir(parents=True, exist_ok=True)
         sweep(path for path in home.iterdir() if _SCRATCH.fullmatch(path.name))
         folder = home / f".imucal-{secrets.token_hex(8)}.tmp"
         # Unlike mkdtemp, mkdir respects the user's umask.
         folder.mkdir()
-        try:
-            yield folder
-        finally:
-            with suppress(OSError):
-                shutil.rmtree(folder)
+        return folder
 
     def _publish(self, scratch: Path, names: Sequence[str]) -> None:
         if not self.path.exists():
@@ -119,9 +133,10 @@ class OutFolder:
                 return
         moved = 0
         try:
-            with alone(self.path / ".lock" if self.shared else self.path):
+            with locked(self.path / ".lock" if self.shared else self.path):
                 self._mark_incomplete(scratch)
-                for moved, name in enumerate((*names[1:], self.document)):  # noqa: B007 - for the message
+                others = [name for name in names if name != self.document]
+                for moved, name in enumerate((*others, self.document)):  # noqa: B007 - for the message
                     (scratch / name).replace(self.path / name)
                 for path in self.path.iterdir():
                     if self.own.fullmatch(path.name) and path.name not in names and path.is_file():
@@ -139,6 +154,27 @@ class OutFolder:
         text = f"its files were being replaced; write {self._results} again"
         _write(scratch / _BEGUN, json.dumps({"schema": self.schema, "incomplete": text}).encode())
         (scratch / _BEGUN).replace(self.path / self.document)
+
+
+class FilesOfFolder:
+    """The files that a block of `OutFolder.filling` has written so far."""
+
+    def __init__(self, folder: OutFolder, scratch: Path) -> None:
+        self.folder = folder
+        self.names: list[str] = []
+        self._scratch = scratch
+
+    def add(self, name: str, content: bytes) -> Path:
+        """Write a file and force it to disk; return the path at which it will appear."""
+        with self.folder.translated():
+            _write(self._scratch / name, content)
+        self.names.append(name)
+        return self.folder.path / name
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The paths of all files, in the order in which they were written."""
+        return tuple(self.folder.path / name for name in self.names)
 
 
 def has_schema(path: Path, schema: str) -> bool:

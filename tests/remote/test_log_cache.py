@@ -14,7 +14,7 @@ import pytest
 
 import imucal
 from imucal.remote import RemoteLog
-from imucal.remote.copies import cache_folder, cache_size, entry_of, fetched, locked
+from imucal.remote.copies import cache_folder, cache_size, entry_of, fetched
 from imucal.remote.stores import identify
 from tests.remote.web_server import WebServer
 
@@ -195,20 +195,3 @@ def test_the_environment_sets_folder_and_size_of_the_cache(
     )
     with pytest.raises(imucal.ReadError, match=message):
         cache_folder()
-
-
-def test_a_removed_lock_file_is_not_a_lock(tmp_path: Path) -> None:
-    """A waiting process takes the new lock file."""
-    path = tmp_path / "a.lock"
-    with locked(path) as had:
-        assert had
-        with locked(path, wait=False) as twice:
-            assert not twice
-        path.unlink()
-        with locked(path, wait=False) as new:
-            assert new
-    with locked(path, shared=True) as one, locked(path, shared=True, wait=False) as two:
-        assert one
-        assert two
-        with locked(path, wait=False) as alone:
-            assert not alone

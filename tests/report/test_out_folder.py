@@ -79,6 +79,22 @@ def test_a_folder_shows_that_its_files_are_being_replaced(
     assert (tmp_path / "d.json").read_bytes() == _DOCUMENT
 
 
+def test_an_error_between_two_files_changes_nothing(tmp_path: Path) -> None:
+    """The error of the block is raised as it is, and the scratch folder is removed."""
+    folder = _folder(tmp_path, shared=False)
+    folder.write({"d.json": _DOCUMENT, "a.txt": b"old"})
+
+    def fill() -> None:
+        with folder.filling() as files:
+            assert files.add("a.txt", b"new") == tmp_path / "a.txt"
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fill()
+    contents = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert contents == {"d.json": _DOCUMENT, "a.txt": b"old"}
+
+
 def test_only_a_shared_folder_may_contain_foreign_files_alone(tmp_path: Path) -> None:
     """A document of another schema is foreign."""
     (tmp_path / "d.json").write_text('{"schema": "imucal/tests/1"}')

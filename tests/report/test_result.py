@@ -5,8 +5,15 @@ import numpy.testing as npt
 import pytest
 
 from imucal.clock import Clock, Segment
+from imucal.grading import judge_findings
+from imucal.prediction.filter_numbers import filter_numbers
 from imucal.recording import AxisSeries, Sensor
+from imucal.report.exports import TARGETS
+from imucal.report.exports.config_numbers import DEFAULT_OPTIONS
+from imucal.report.html_page import render_page
+from imucal.report.json_file import to_document
 from imucal.report.result import Overview
+from tests.report.synthetic import consumer_report
 
 _NAN = np.nan
 
@@ -38,3 +45,28 @@ def test_an_overview_without_samples_is_empty() -> None:
     clock = Clock(source="stamps", rate_hz=10.0, segments=())
     overview = Overview.of(AxisSeries(sensor=Sensor.GYROSCOPE, axis="x", samples=np.zeros(0), clock=clock))
     assert overview.time_s.size == overview.low.size == overview.high.size == 0
+
+
+def test_the_verdict_and_each_pair_for_filters_are_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page, the JSON and the config files ask for them many times."""
+    report = consumer_report()
+    verdicts, requests = [], []
+    judge, numbers = judge_findings, filter_numbers
+
+    def judged(*args: object, **options: object) -> object:
+        verdicts.append(options)
+        return judge(*args, **options)  # type: ignore[arg-type]
+
+    def counted(fits: list[object], **options: object) -> object:
+        requests.append((*map(id, fits), *options.items()))
+        return numbers(fits, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("imucal.report.result.judge_findings", judged)
+    monkeypatch.setattr("imucal.report.result.filter_numbers", counted)
+    for _ in range(2):
+        to_document(report)
+        render_page(report)
+        for target in TARGETS.values():
+            target.render(report, DEFAULT_OPTIONS)
+    assert len(verdicts) == 1
+    assert len(requests) == len(set(requests)) > 2
