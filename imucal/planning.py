@@ -22,6 +22,7 @@ from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import Sensor
 from imucal.report.result import AxisReport, Report
 from imucal.solvers import root, root_near
+from imucal.units import duration
 
 #: One standard deviation on each side.
 ONE_DEVIATION = math.erf(math.sqrt(0.5))
@@ -139,8 +140,8 @@ def plan(
         )
 
     def ask(own_rate_hz: float, own_duration_s: float | None) -> _Ask:
-        duration = own_duration_s if duration_s is None else duration_s
-        return _Ask(rate_hz or own_rate_hz, precision, level, duration)
+        given_s = own_duration_s if duration_s is None else duration_s
+        return _Ask(rate_hz or own_rate_hz, precision, level, given_s)
 
     if isinstance(source, Report):
         axes = tuple(
@@ -178,7 +179,7 @@ def resolution_findings(fit: NoiseFit, duration_s: float) -> tuple[Finding, ...]
         own = [need for need in needs if need.name.partition(".")[0] == name]
         longest = max(own, key=lambda need: need.needed_s)
         if longest.needed_s > _WORTH_SAYING * duration_s:
-            needed, had = describe_time(longest.needed_s), describe_time(duration_s)
+            needed, had = needed_time(longest.needed_s), duration(duration_s)
             sharp = f"±{100 * _SHARP:.3g} %"
             text = f"{name} needs {needed} for {sharp}; this log has {had}."
             if longest.bounded:
@@ -188,19 +189,9 @@ def resolution_findings(fit: NoiseFit, duration_s: float) -> tuple[Finding, ...]
     return tuple(findings)
 
 
-def describe_time(seconds: float) -> str:
-    """Return a length of record with two digits, such as ``6.2 h``; ``more than 10 years``."""
-    if seconds > _LONGEST:
-        return "more than 10 years"
-    for unit, size, upto in (("s", 1.0, 120.0), ("min", 60.0, 7200.0), ("h", 3600.0, 48 * 3600.0)):
-        if seconds < upto:
-            return f"{_two_digits(seconds / size)} {unit}"
-    return f"{_two_digits(seconds / 86400)} days"
-
-
-def _two_digits(value: float) -> str:
-    places = max(0, 1 - math.floor(math.log10(value))) if value > 0 else 0
-    return f"{value:.{min(places, 3)}f}"
+def needed_time(seconds: float) -> str:
+    """Return the length of a record that is needed, roughly: ``6 h 12 min``, ``more than 10 years``."""
+    return "more than 10 years" if seconds > _LONGEST else duration(seconds, rough=True)
 
 
 def _fit_plan(fit: NoiseFit, ask: _Ask) -> AxisPlan:

@@ -20,7 +20,8 @@ from imucal.findings import Finding
 from imucal.frozen import frozen
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.screening.motion import disturbances_of, rests_between
-from imucal.screening.windows import Profile, Windows, profile, quietest, time
+from imucal.screening.windows import Profile, Windows, profile, quietest
+from imucal.units import duration
 
 __all__ = ["at_rest"]
 
@@ -68,12 +69,12 @@ def at_rest(recording: Recording) -> Recording:
     profiles = [one for one in (profile(series, _quiet) for series in recording.series) if one.windows.size]
     stretches = _judged(profiles, _stretches(profiles)) if profiles else []
     rests = [one for one in stretches if not one.why]
-    duration = max((series.duration_s for series in recording.series), default=0.0)
+    duration_s = max((series.duration_s for series in recording.series), default=0.0)
     if not rests:
         longest = max((one.length_s for one in stretches), default=0.0)
         msg = (
-            f"{recording.source.path}: found no rest of at least {_SHORTEST_S:g} s in {time(duration)}, "
-            f"the longest being {time(longest)}; leave the IMU alone for longer"
+            f"{recording.source.path}: found no rest of at least {_SHORTEST_S:g} s in "
+            f"{duration(duration_s)}, the longest being {duration(longest)}; leave the IMU alone for longer"
         )
         raise DataError(msg)
     first = rests[0].start_s
@@ -82,7 +83,7 @@ def at_rest(recording: Recording) -> Recording:
     clocks: dict[int, Clock] = {}
     cuts = [_cut(series.finite(), spans, clocks) for series in part.series]
     series = tuple(cut for cut in cuts if cut.n)
-    return replace(part, series=series, findings=(*part.findings, _finding(stretches, rests, duration)))
+    return replace(part, series=series, findings=(*part.findings, _finding(stretches, rests, duration_s)))
 
 
 def _quiet(windows: Windows) -> Windows:
@@ -99,11 +100,11 @@ def _stretches(profiles: Sequence[Profile]) -> list[_Stretch]:
     clear = max(_CLEAR_S, _CLEAR * tau0)
     for clock in {id(p.series.clock): p.series.clock for p in profiles}.values():
         moved += [(g.start_s, g.start_s + g.duration_s) for g in clock.gaps if g.missing > 2 * _CLEAR]
-    duration = max(p.series.duration_s for p in profiles)
+    duration_s = max(p.series.duration_s for p in profiles)
     shortest = max(_SHORTEST_S, _MIN_SAMPLES * tau0)
     return [
         _Stretch(start_s=start, end_s=end, why="" if end - start >= shortest else "short")
-        for start, end in rests_between(moved, duration, clear_s=clear)
+        for start, end in rests_between(moved, duration_s, clear_s=clear)
         if end > start
     ]
 
@@ -169,13 +170,13 @@ _REASONS = {
 }
 
 
-def _finding(stretches: Sequence[_Stretch], rests: Sequence[_Stretch], duration: float) -> Finding:
+def _finding(stretches: Sequence[_Stretch], rests: Sequence[_Stretch], duration_s: float) -> Finding:
     total = sum(one.length_s for one in rests)
-    begins = ", ".join(f"{one.start_s:.1f} s ({time(one.length_s)})" for one in rests)
-    moving = duration - sum(one.length_s for one in stretches)
+    begins = ", ".join(f"{one.start_s:.1f} s ({duration(one.length_s)})" for one in rests)
+    moving = duration_s - sum(one.length_s for one in stretches)
     text = (
-        f"The fit uses {_rests(len(rests))}, {time(total)} of {time(duration)}, starting at {begins}. Each "
-        "rest has its own level; no average spans two rests."
+        f"The fit uses {_rests(len(rests))}, {duration(total)} of {duration(duration_s)}, starting at "
+        f"{begins}. Each rest has its own level; no average spans two rests."
     )
     if left := "; ".join(_left_out(stretches, moving)):
         text += f" Left out: {left}."
@@ -190,8 +191,8 @@ def _rests(count: int) -> str:
 
 def _left_out(stretches: Sequence[_Stretch], moving: float) -> Iterator[str]:
     if moving > 0:
-        yield f"{time(moving)} of motion or vibration"
+        yield f"{duration(moving)} of motion or vibration"
     for why, words in _REASONS.items():
         own = [one.length_s for one in stretches if one.why == why]
         if own:
-            yield f"{_rests(len(own))} {words} ({time(sum(own))} in all)"
+            yield f"{_rests(len(own))} {words} ({duration(sum(own))} in all)"

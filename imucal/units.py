@@ -237,14 +237,20 @@ DATASHEET_UNITS: dict[str, float] = {
 }
 
 
-def duration(seconds: float) -> str:
-    """Return a length of time as text: ``7.5 s``, ``12 min``, ``3 h 2 min``, ``2 d 5 h``."""
-    if float(f"{seconds:.3g}") < 60:
-        return f"{seconds:.3g} s"
+def duration(seconds: float, *, rough: bool = False) -> str:
+    """Return a length of time as text: ``7.5 s``, ``12 min``, ``3 h 2 min``, ``2 d 5 h``.
+
+    A `rough` one, such as a prediction, has two digits: ``12 min``, ``3 h 2 min``, ``26 h``.
+    """
+    in_seconds = f"{seconds:.2g}" if rough else f"{seconds:.3g}"
+    if float(in_seconds) < 60:
+        return f"{in_seconds} s"
     small, size, count, large = "h", _HOUR, 24, "d"
     if seconds < 48 * _HOUR - 30:
         small, size, count, large = ("s", 1, 60, "min") if seconds < _HOUR - 0.5 else ("min", 60, 60, "h")
     whole, rest = divmod(round(seconds / size), count)
+    if rough and whole >= 10:
+        return f"{seconds / (size * count):.0f} {large}"
     return f"{whole} {large} {rest} {small}" if rest else f"{whole} {large}"
 
 

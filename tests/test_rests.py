@@ -141,7 +141,7 @@ def test_a_log_at_rest_is_one_rest() -> None:
     rng = np.random.default_rng(8)
     still = recording_of(rng.normal(size=(6000, 6)) * 1e-3 + [0, 0, 0, 0, 0, 9.8])
     rests = imucal.at_rest(still)
-    assert rests_text(rests).startswith("The fit uses 1 rest, 120 s of 120 s, starting at 0.0 s (120 s)")
+    assert rests_text(rests).startswith("The fit uses 1 rest, 2 min of 2 min, starting at 0.0 s (2 min)")
     assert rests.series[0].n == 6000
     assert imucal.fit(rests.series[0])["N"] == imucal.fit(still.series[0])["N"]
 

@@ -34,9 +34,8 @@ def print_plan(plan: "FleetPlan", workers: int) -> None:
         copy = f"same content as {log.copy_of}" if log.copy_of else ""
         echo("\t".join((log.state, log.path, *filter(None, (labels, copy)))))
     tasks = plan.tasks
-    # Estimates are less accurate than a minute.
     seconds = sum(task.seconds for task in tasks) / workers
-    about = duration(60 * round(seconds / 60) if seconds > 60 else float(f"{seconds:.2g}"))
+    about = duration(seconds, rough=True)
     size = data_size(sum(task.size for task in tasks))
     echo(f"{number_of(tasks, 'log')}, {size}, about {about} on {number_of(workers, 'worker')}", err=True)
 

@@ -24,7 +24,7 @@ from imucal.cli.options import (
 )
 from imucal.cli.param_types import DURATION, LEVEL, RATE, Number, Text
 from imucal.noise.terms import TERMS
-from imucal.planning import ENOUGH_DETECTED, ONE_DEVIATION, Need, Plan, describe_time, plan
+from imucal.planning import ENOUGH_DETECTED, ONE_DEVIATION, Need, Plan, needed_time, plan
 from imucal.recording import Sensor
 from imucal.report.result import Report
 from imucal.units import DatasheetUnit
@@ -166,7 +166,7 @@ def _table(result: Plan, *, datasheet: bool) -> str:
     for axis in result.axes:
         title = f"{axis.axis or axis.model}  at {axis.rate_hz:.6g} Hz"
         if axis.duration_s is not None:
-            title += f", {describe_time(axis.duration_s)}"
+            title += f", {duration_text(axis.duration_s)}"
         lines += ["", *wrapped(title)]
         if not narrow:
             reached = "" if durations == {None} else f"{'this gives':>17}"
@@ -180,7 +180,7 @@ def _table(result: Plan, *, datasheet: bool) -> str:
 def _lines(need: Need, unit: DatasheetUnit, *, narrow: bool) -> list[str]:
     """Return a required duration as a row, or as two lines on a narrow terminal."""
     value = f"{'< ' if need.bounded else ''}{need.value * unit.factor:.4g}"
-    time = describe_time(need.needed_s)
+    time = needed_time(need.needed_s)
     reached = _reached(need)
     if narrow:
         needs = f"needs {time}{f', this gives {reached}' if reached else ''}"

@@ -9,7 +9,8 @@ from imucal.arrays import FloatArray, IntArray
 from imucal.findings import Finding, Level
 from imucal.recording import Sensor
 from imucal.screening.values import gravity, shaken
-from imucal.screening.windows import Profile, amount, name_list, span, time, usual_variance
+from imucal.screening.windows import Profile, amount, name_list, span, usual_variance
+from imucal.units import duration
 
 #: Gap below which disturbances are joined, in s.
 _APART_S = 3.0
@@ -139,21 +140,21 @@ def check_motion(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     disturbances = disturbances_of(profiles)
     if not disturbances:
         return ()
-    duration = max(p.series.duration_s for p in profiles)
-    keep = _longest_rest(disturbances, duration)
-    moving = sum(d.end_s - d.start_s for d in disturbances) / duration
+    duration_s = max(p.series.duration_s for p in profiles)
+    keep = _longest_rest(disturbances, duration_s)
+    moving = sum(d.end_s - d.start_s for d in disturbances) / duration_s
     if moving > _MOVING or keep is None:
         hopeless = moving > 0.5 or keep is None
-        level: Level = "error" if hopeless else _level(profiles, disturbances, duration)
+        level: Level = "error" if hopeless else _level(profiles, disturbances, duration_s)
         return (_not_at_rest(disturbances, moving, keep, level),)
-    ends = [d for d in disturbances if d.end_s < _ENDS * duration or d.start_s > (1 - _ENDS) * duration]
+    ends = [d for d in disturbances if d.end_s < _ENDS * duration_s or d.start_s > (1 - _ENDS) * duration_s]
     middle = [d for d in disturbances if d not in ends]
-    moved = (_moved(ends, _level(profiles, ends, duration), duration, keep),) if ends else ()
-    return (*moved, _touched(middle, _level(profiles, middle, duration), keep)) if middle else moved
+    moved = (_moved(ends, _level(profiles, ends, duration_s), duration_s, keep),) if ends else ()
+    return (*moved, _touched(middle, _level(profiles, middle, duration_s), keep)) if middle else moved
 
 
-def _moved(ends: list[Disturbance], level: Level, duration: float, keep: tuple[float, float]) -> Finding:
-    sides = name_list(list(dict.fromkeys("start" if d.start_s < duration / 2 else "end" for d in ends)))
+def _moved(ends: list[Disturbance], level: Level, duration_s: float, keep: tuple[float, float]) -> Finding:
+    sides = name_list(list(dict.fromkeys("start" if d.start_s < duration_s / 2 else "end" for d in ends)))
     text = f"The IMU was moved near the {sides} of the log: {_listed(ends)}."
     return Finding(level, "motion", text, "Leave this part out.", keep_s=keep)
 
@@ -229,8 +230,8 @@ def _spans(profile: Profile) -> list[tuple[float, float, float]]:
     return spans
 
 
-def _level(profiles: Sequence[Profile], disturbances: list[Disturbance], duration: float) -> Level:
-    loud = any(_power(profile, disturbances) > _LOUDER * duration for profile in profiles)
+def _level(profiles: Sequence[Profile], disturbances: list[Disturbance], duration_s: float) -> Level:
+    loud = any(_power(profile, disturbances) > _LOUDER * duration_s for profile in profiles)
     return "error" if loud else "warning"
 
 
@@ -257,22 +258,22 @@ def _scale(profile: Profile) -> float:
     return max(usual_variance(profile.windows), (profile.lsb or 0.0) ** 2 / 12)
 
 
-def _longest_rest(disturbances: list[Disturbance], duration: float) -> tuple[float, float] | None:
+def _longest_rest(disturbances: list[Disturbance], duration_s: float) -> tuple[float, float] | None:
     """Return the longest rest, in s, a second clear of disturbances; None if all are short."""
-    rests = rests_between([(d.start_s, d.end_s) for d in disturbances], duration, clear_s=_SETTLE_S)
+    rests = rests_between([(d.start_s, d.end_s) for d in disturbances], duration_s, clear_s=_SETTLE_S)
     start, end = max(rests, key=lambda rest: rest[1] - rest[0])
     return (round(start, 1), round(end, 1)) if end - start >= _WORTH_S else None
 
 
 def rests_between(
-    disturbed: Sequence[tuple[float, float]], duration: float, *, clear_s: float
+    disturbed: Sequence[tuple[float, float]], duration_s: float, *, clear_s: float
 ) -> list[tuple[float, float]]:
     """Return start and end of each rest, in s, `clear_s` away from disturbances; some may be empty."""
     rests, begin = [], 0.0
     for start, end in sorted(disturbed):
         rests.append((begin, start - clear_s))
         begin = max(begin, end + clear_s)
-    return [*rests, (begin, duration)]
+    return [*rests, (begin, duration_s)]
 
 
 def _not_at_rest(
@@ -283,7 +284,7 @@ def _not_at_rest(
     if keep is None:
         text += f"it never rested for {_WORTH_S:g} s."
     else:
-        text += f"the longest rest is {time(keep[1] - keep[0])}."
+        text += f"the longest rest is {duration(keep[1] - keep[0])}."
     return Finding(level, "motion", text, f"{advice}.", keep_s=keep)
 
 

@@ -12,8 +12,8 @@ from imucal.errors import Fix
 from imucal.evidence import GYRO_STEPS, MAX_GYRO_NOISE, STEP_TOLERANCE, is_gravity_per_sample
 from imucal.findings import Finding, Level
 from imucal.recording import Sensor, Temperature
-from imucal.screening.windows import Profile, amount, excerpt, time
-from imucal.units import G0
+from imucal.screening.windows import Profile, amount, excerpt
+from imucal.units import G0, duration
 
 #: Probability that noise repeats one value through a window by chance.
 _FALSE_ALARM = 1e-6
@@ -79,7 +79,7 @@ def check_stuck(profile: Profile) -> tuple[Finding, ...]:
     if by_chance > _FALSE_ALARM:
         return ()
     total, first = frozen.sum() * windows.length_s, windows.time_s[int(frozen.argmax())]
-    text = f"{series.name} is stuck at one value for {time(total)} in all, first at {first:.1f} s."
+    text = f"{series.name} is stuck at one value for {duration(total)} in all, first at {first:.1f} s."
     advice = "Check the driver and the cable; leave these parts out."
     edges = np.flatnonzero(np.concatenate([[True], frozen, [True]]))
     longest = int(np.diff(edges).argmax())

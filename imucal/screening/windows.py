@@ -318,17 +318,6 @@ def resolution(series: AxisSeries) -> float | None:
     return step if off.max() < _TOLERANCE else None
 
 
-def time(seconds: float) -> str:
-    """Return ``12.3 s``, ``4.5 min`` or ``2.25 h``.
-
-    >>> time(12.34), time(600.0), time(10_000.0)
-    ('12.3 s', '10 min', '2.78 h')
-    """
-    if seconds < 300:
-        return f"{seconds:.3g} s" if seconds < 100 else f"{seconds:.0f} s"
-    return f"{seconds / 60:.3g} min" if seconds < 7200 else f"{seconds / 3600:.3g} h"
-
-
 def span(start_s: float, end_s: float) -> str:
     """Return ``12.3 to 15.2 s``: always in seconds, because users cut the log in seconds."""
     return f"{start_s:.1f} to {end_s:.1f} s"

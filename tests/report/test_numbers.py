@@ -201,6 +201,23 @@ def test_durations_have_readable_units(seconds: float, text: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0.712, "0.71 s"),
+        (59.6, "1 min"),
+        (740.4, "12 min"),
+        (6.2 * 3600, "6 h 12 min"),
+        (30.6 * 3600, "31 h"),
+        (4.01 * 86400, "4 d"),
+        (400.4 * 86400, "400 d"),
+    ],
+)
+def test_rough_durations_have_two_digits(seconds: float, text: str) -> None:
+    """The smaller unit is omitted from ten of the larger one."""
+    assert duration(seconds, rough=True) == text
+
+
+@pytest.mark.parametrize(
     ("size", "text"),
     [
         (0, "0 kB"),

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from imucal.recording import AxisSeries, Sensor
-from imucal.screening.windows import amount, name_list, resolution, span, time, variance_limit
+from imucal.screening.windows import amount, name_list, resolution, span, variance_limit
 
 
 @pytest.mark.parametrize("lsb", [1.0, 1 / 131, 2.0**-14 * 9.80665, 1e-3])
@@ -58,15 +58,6 @@ def test_the_limit_is_robust_to_motion() -> None:
     variances = np.random.default_rng(6).chisquare(49, 1000) / 49
     variances[:400] *= 100
     assert variance_limit(variances, 1e-7) < 30
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [(0.5, "0.5 s"), (12.34, "12.3 s"), (250.0, "250 s"), (600.0, "10 min"), (10_000.0, "2.78 h")],
-)
-def test_times_are_written_with_a_suitable_unit(seconds: float, words: str) -> None:
-    """They are in seconds, minutes or hours."""
-    assert time(seconds) == words
 
 
 def test_amounts_contain_the_data_sheet_unit() -> None:
