@@ -14,9 +14,9 @@ from typing import Literal, TypeAlias
 
 from imucal.arguments import takes
 from imucal.errors import ArgumentError, DataError
-from imucal.fitting.homogeneity import holm
 from imucal.fitting.noise_fit import Estimate
 from imucal.frozen import frozen
+from imucal.multiple_tests import holm
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report.given import GIVEN

@@ -21,6 +21,7 @@ BELOW: dict[str, set[str]] = {
     "display": set(),
     "evidence": {"units"},
     "locks": set(),
+    "multiple_tests": set(),
     "printable": set(),
     "resources": {"errors"},
     "recording": {"arrays", "clock", "display", "errors", "findings", "frozen"},

@@ -14,7 +14,7 @@ Proc. R. Soc. A 160, 268, eq. (16) ff. (small samples); von Neumann (1941), Anna
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -274,13 +274,3 @@ def _stretched(value: float, end: float, factor: float) -> float:
     """Return a limit `factor` times as far from its value in logarithms."""
     with np.errstate(over="ignore"):
         return float(value * np.power(np.float64(end / value), factor))
-
-
-def holm(p_values: Sequence[float]) -> list[float]:
-    """Return p-values adjusted for their number. Source: Holm (1979), Scand. J. Statistics 6, 65."""
-    order = sorted(range(len(p_values)), key=p_values.__getitem__)
-    result, largest = [0.0] * len(p_values), 0.0
-    for rank, place in enumerate(order):
-        largest = max(largest, min(1.0, (len(order) - rank) * p_values[place]))
-        result[place] = largest
-    return result

@@ -1,7 +1,6 @@
 """The distribution of a coefficient over the units of a sensor model.
 
 Each unit is compared with the other units, because an outlier would widen a spread that includes it.
-Benjamini & Hochberg (1995), Journal of the Royal Statistical Society B 57, p. 289: false discovery rate.
 
 If all logs only bound a coefficient, the mean of the units' squares bounds a share p of the units for any
 spread t: for a lognormal distribution with root mean square r, the share is below r exp(z t - t²) ≤
@@ -24,15 +23,16 @@ from imucal.fitting.noise_fit import Interval
 from imucal.fleet.posterior import TAILS, TWO_SIDED, NextLog, Posterior, UnitLikelihoods, interval_of
 from imucal.fleet.values import LogValue, LogValues
 from imucal.frozen import frozen
+from imucal.multiple_tests import SIGNIFICANCE, holm
 
 #: Minimum number of units for a spread.
 MIN_UNITS = 3
-#: False discovery rate of odd units.
-FALSE_SHARE = 0.05
 #: Percentage of bounded logs above which a finding is reported.
 _MANY_BOUNDS = 50.0
-#: Most units that are tested exactly, and the largest quick p-value that leads to an exact test.
-_SUSPECTS, _SUSPECT = 5, 0.2
+#: Most units that are tested exactly: an exact test takes seconds.
+_SUSPECTS = 5
+#: Largest quick p-value that leads to an exact test.
+_SUSPECT = 0.2
 #: Probability that the next unit is within its limits.
 _CONTENT = 0.95
 _MOSTLY_BOUNDED = "{:.0f} % of the logs only bound this term: longer logs would help more than more units."
@@ -44,9 +44,14 @@ _TOO_FEW = (
     "{}: the spread between units, the next unit and a tolerance bound need at least "
     f"{MIN_UNITS}; test about 10."
 )
-#: Grid of the log-likelihood of a mean square: points, its value at the end relative to the peak, most
-#: doublings of the end, and units added at a time.
-_POINTS, _NOTHING, _DOUBLINGS, _CHUNK = 1001, -30.0, 200, 1024
+#: Points of the grid of the log-likelihood of a mean square.
+_POINTS = 1001
+#: Log-likelihood at the end of the grid, relative to the peak.
+_NOTHING = -30.0
+#: Most doublings of the end of the grid.
+_DOUBLINGS = 200
+#: Units that are added at a time, which limits the memory.
+_CHUNK = 1024
 
 
 @frozen
@@ -209,9 +214,9 @@ def _judged(values: LogValues, units: UnitLikelihoods, posterior: Posterior) -> 
         return float(alone.p_values(squares[[unit]], own[[unit]])[0])
 
     p_values = oddest_by_others(quick, _SUSPECT, by_others).tolist()
-    chances = zip(p_values, adjusted(p_values), strict=True)
+    chances = zip(p_values, holm(p_values), strict=True)
     return tuple(
-        replace(unit, p_value=p, p_odd=p_odd, odd=p_odd <= FALSE_SHARE)
+        replace(unit, p_value=p, p_odd=p_odd, odd=p_odd <= SIGNIFICANCE)
         for unit, (p, p_odd) in zip(_units(values, units), chances, strict=True)
     )
 
@@ -244,14 +249,6 @@ def leave_one_out(centre: FloatArray, deviation: FloatArray, tau: float) -> Floa
     scale = np.sqrt(np.maximum(squares, 1e-300) / (n - 2) * (1 / w + 1 / rest))
     result: FloatArray = 2 * scipy.special.stdtr(n - 2, -np.abs(apart) / scale)
     return result
-
-
-def adjusted(p_values: Sequence[float] | FloatArray) -> list[float]:
-    """Return p-values adjusted for the number of tests by Benjamini and Hochberg's step-up procedure."""
-    p, order = np.array(p_values), np.argsort(p_values)
-    stepped = p[order] * p.size / np.arange(1, p.size + 1)
-    p[order] = np.minimum(np.minimum.accumulate(stepped[::-1])[::-1], 1.0)
-    return [*map(float, p)]
 
 
 def random_mean(values: FloatArray, errors: FloatArray) -> tuple[float, float, float]:

@@ -8,13 +8,13 @@ import numpy as np
 from imucal.arguments import takes
 from imucal.checking.verdict import Row, Verdict
 from imucal.errors import DataError
-from imucal.fitting.homogeneity import holm
 from imucal.fitting.noise_fit import Estimate, Interval, NoiseFit
 from imucal.fleet.pooling import log_values
 from imucal.fleet.population import MIN_UNITS, membership
 from imucal.fleet.values import LogValue
 from imucal.fleet_report.pages import bound_name, sheet_unit
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
+from imucal.multiple_tests import holm
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import Source
 from imucal.report.given import given_axis

@@ -8,9 +8,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias
 
 from imucal.fitting.homogeneity import symbol_of
-from imucal.fleet.population import FALSE_SHARE, adjusted
 from imucal.fleet.values import LogValue
 from imucal.fleet_report.summary import Fleet, FleetTerm, SensorModel
+from imucal.multiple_tests import SIGNIFICANCE, holm
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report import numbers
@@ -163,8 +163,8 @@ def beyond_chance(fleet: Fleet) -> set[tuple[int, str]]:
     """
     every = ((id(t), unit) for m in fleet.models for t in m.terms for unit in t.population.units)
     tested = {(term, unit.unit): unit.p_value for term, unit in every if unit.p_value is not None}
-    chances = zip(tested, adjusted([*tested.values()]), strict=True)
-    return {place for place, p in chances if p <= FALSE_SHARE}
+    chances = zip(tested, holm([*tested.values()]), strict=True)
+    return {place for place, p in chances if p <= SIGNIFICANCE}
 
 
 def _listed(places: Iterable[tuple[str, FleetTerm]]) -> str:

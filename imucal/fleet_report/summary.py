@@ -13,12 +13,13 @@ from imucal.display import Displayed
 from imucal.errors import ChoiceError, DataError, Fix
 from imucal.findings import Finding
 from imucal.fitting.homogeneity import symbol_of
-from imucal.fleet.population import FALSE_SHARE, UnitValue, adjusted
+from imucal.fleet.population import UnitValue
 from imucal.fleet.store import FleetStore
 from imucal.fleet.values import LogValue
 from imucal.fleet_report import answers
 from imucal.fleet_report.answers import Ask, LogRows, TermAnswer, TermKey, UnitLogs
 from imucal.frozen import frozen
+from imucal.multiple_tests import SIGNIFICANCE, holm
 from imucal.noise.terms import TERMS
 from imucal.recording import Axis, Sensor
 
@@ -282,11 +283,11 @@ def _judged_together(
     found: Mapping[TermKey, tuple[LogRows, TermAnswer]], tests: Mapping[TermKey, Sequence[UnitLogs]]
 ) -> Iterator[tuple[str, FleetTerm]]:
     """Yield the terms by model; tests of logs are adjusted for all units and terms."""
-    chances = iter(adjusted([test.p_value for key in found for test in tests.get(key, ())]))
+    chances = iter(holm([test.p_value for key in found for test in tests.get(key, ())]))
     for key, (logs, answer) in found.items():
         values: dict[str, Any] = {field.name: getattr(answer, field.name) for field in fields(TermAnswer)}
         values |= {"axis": key[2], "term": key[3]}
-        own = (replace(test, differs=next(chances) <= FALSE_SHARE) for test in tests.get(key, ()))
+        own = (replace(test, differs=next(chances) <= SIGNIFICANCE) for test in tests.get(key, ()))
         yield key[0], FleetTerm(sensor=Sensor(key[1]), logs=logs, unit_logs=tuple(own), **values)
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.fitting.spectral.given_model import fit_bins, record_tests
-from imucal.fleet.population import FALSE_SHARE, adjusted
+from imucal.multiple_tests import SIGNIFICANCE, holm
 from tests.fleet.records import bins_from, simulated
 
 #: Relative spread of N, B and K between units.
@@ -46,8 +46,8 @@ def p_values(size: Size, truth: dict[str, float], seed: Sequence[int], *, last: 
 
 def named(tests: list[list[float]]) -> set[int]:
     """Return the units that a report with these tests, by unit and term, lists."""
-    judged = np.reshape(adjusted(np.ravel(tests)), (len(tests), -1))
-    return set(np.flatnonzero((judged <= FALSE_SHARE).any(axis=1)).tolist())
+    judged = np.reshape(holm(np.ravel(tests)), (len(tests), -1))
+    return set(np.flatnonzero((judged <= SIGNIFICANCE).any(axis=1)).tolist())
 
 
 def main() -> None:

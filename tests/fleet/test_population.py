@@ -11,7 +11,6 @@ from scipy.special import ndtr, ndtri
 from imucal.fleet import LogValue, population
 from imucal.fleet.population import (
     MeanSquare,
-    adjusted,
     leave_one_out,
     membership,
 )
@@ -251,12 +250,6 @@ def test_scatter_of_logs_makes_a_unit_less_odd() -> None:
     )
     assert wide == pytest.approx(2 * np.mean(square > 2.5), rel=0.1)
     assert narrow < wide / 2
-
-
-def test_adjusted_p_values_agree_with_scipy() -> None:
-    """The method is Benjamini and Hochberg's procedure."""
-    p = np.random.default_rng(48).random(30) ** 2
-    assert adjusted(p) == pytest.approx(stats.false_discovery_control(p))
 
 
 def test_two_units_have_no_spread_but_a_finding() -> None:

@@ -784,7 +784,7 @@ def test_an_undetected_term_is_a_bound_in_all_outputs(tmp_path: Path) -> None:
 
 def test_tests_of_units_are_adjusted_for_all_units_and_terms(tmp_path: Path) -> None:
     """Only the last of six units differs; a rare result in one of many tests is not reported."""
-    from imucal.fleet.population import adjusted
+    from imucal.multiple_tests import holm
 
     write_store(
         tmp_path, units=6, temperatures=(25.0, 25.0), special=False, failures=False, weak="", bins=6,
@@ -793,7 +793,7 @@ def test_tests_of_units_are_adjusted_for_all_units_and_terms(tmp_path: Path) -> 
     fleet = imucal.load_fleet(tmp_path)
     tests = [test for term in fleet.model().terms for test in term.unit_logs]
     assert len(tests) == 18
-    p_values = adjusted([test.p_value for test in tests])
+    p_values = holm([test.p_value for test in tests])
     assert [test.differs for test in tests] == [p <= 0.05 for p in p_values]
     assert {test.unit for test in tests if test.differs} == {"u05"}
     assert "u05 by" in render_fleet_page(fleet)
