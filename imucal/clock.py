@@ -6,23 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.errors import ArgumentError
 from imucal.frozen import frozen
-
-_SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
-
-
-def seconds_of(text: str | float) -> float:
-    """Return a duration in s from a number, alone or with s, min, m, h or d; raises ArgumentError."""
-    text = str(text).strip()
-    number = text.rstrip("smindh")
-    try:
-        seconds = float(number) * _SECONDS.get(text[len(number) :], np.nan)
-    except ValueError:
-        seconds = np.nan
-    if not 0 <= seconds < np.inf:
-        raise ArgumentError(f"{text!r} is not a duration; write seconds, or for example 90s, 5min, 2.5h")
-    return seconds
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,6 @@ from imucal.calibration.writer import is_calibration
 from imucal.checking import CheckResult, Limits, check_config, parse_limits, read_limits
 from imucal.checking import check as check_limits
 from imucal.checking.calibrated import check_calibration
-from imucal.clock import seconds_of
 from imucal.errors import ArgumentError, DataError, ImucalError
 from imucal.fitting import NoiseFit
 from imucal.fitting import fit as fit_axis
@@ -36,6 +35,7 @@ from imucal.report.json_file import load
 from imucal.report.json_node import Node, plain
 from imucal.report.result import Report
 from imucal.units import G0
+from imucal.user_input import seconds_of
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, ReadOnlyArrays, blocks, read_only
-from imucal.clock import Clock, seconds_of
+from imucal.clock import Clock
 from imucal.display import Displayed
 from imucal.errors import ArgumentError, DataError, MissingError
 from imucal.findings import Finding
 from imucal.frozen import frozen, frozen_alone
+from imucal.user_input import seconds_of
 
 Axis: TypeAlias = Literal["x", "y", "z"]
 

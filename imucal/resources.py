@@ -5,12 +5,12 @@ including library threads.
 """
 
 import os
-import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path, PurePosixPath
 
 from imucal.errors import SettingError
+from imucal.user_input import bytes_of
 
 MEMORY, THREADS = "IMUCAL_MEMORY", "IMUCAL_THREADS"
 
@@ -20,8 +20,6 @@ _UNKNOWN = 2_000_000_000
 _COLUMNS = 500_000_000
 #: One step may use the memory divided by this.
 _SHARE = 4
-_SIZE = re.compile(r"(?P<number>\d+(?:\.\d*)?)\s*(?P<prefix>[kmgt]?)i?b?", re.IGNORECASE)
-_PREFIXES = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30, "t": 1 << 40}
 #: Read by the matrix libraries when they are loaded, and by all libraries.
 MATRICES = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 POOLS = ("POLARS_MAX_THREADS", "RAYON_NUM_THREADS", "OMP_NUM_THREADS", *MATRICES)
@@ -48,7 +46,7 @@ def size_setting(name: str, *, least: int = 1) -> int | None:
     if not text:
         return None
     try:
-        return parse_size(text, least=least)
+        return bytes_of(text, least=least)
     except ValueError as error:
         raise SettingError(f"{name}: found {text!r}, expected {error}; set one, or unset it") from error
 
@@ -60,18 +58,6 @@ def memory_there_is() -> int | None:
     It is found once, because reading the limits takes 1 ms and each topic of a log asks.
     """
     return min((size for size in (_physical(), *control_group_limits()) if size), default=None)
-
-
-def parse_size(text: str, *, least: int = 1) -> int:
-    """Return a size such as ``500M`` or ``2GB`` in bytes; a K is 1024.
-
-    Raises ValueError if the text is not a size, or the size is less than `least`.
-    """
-    match = _SIZE.fullmatch(text.strip())
-    size = float(match["number"]) * _PREFIXES[match["prefix"].lower()] if match else -1
-    if size < least:
-        raise ValueError("a size such as 500M or 2G")
-    return int(size)
 
 
 def column_limit() -> int:

@@ -23,15 +23,16 @@ BELOW: dict[str, set[str]] = {
     "locks": set(),
     "multiple_tests": set(),
     "printable": set(),
-    "resources": {"errors"},
-    "recording": {"arrays", "clock", "display", "errors", "findings", "frozen"},
+    "resources": {"errors", "user_input"},
+    "recording": {"arrays", "clock", "display", "errors", "findings", "frozen", "user_input"},
     "processes": {"errors", "findings", "frozen"},
     "powerlaw": {"arrays"},
     "solvers": {"arrays"},
     "units": {"frozen", "recording"},
+    "user_input": {"errors"},
 }
 BASE = set(BELOW)
-BELOW["remote"] = {"_version", "errors", "frozen", "locks", "resources"}
+BELOW["remote"] = {"_version", "errors", "frozen", "locks", "resources", "user_input"}
 BELOW |= {
     "readers": BASE | {"remote"},
     "screening": BASE,

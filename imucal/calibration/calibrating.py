@@ -45,12 +45,12 @@ from imucal.calibration.result import AccelerometerResult, Calibration, Gyroscop
 from imucal.calibration.slow_noise import AccelerometerEstimate, estimate_accelerometer, walk_covariance
 from imucal.calibration.turn_data import Headings, Turn, TurnData, prepare_turns, start_of
 from imucal.calibration.turns import GyroNoise, TurnsFit, direction_covariance, fit_turns
-from imucal.clock import seconds_of
 from imucal.errors import ArgumentError, DataError
 from imucal.frozen import frozen_alone
 from imucal.noise import TERMS, NoiseModel
 from imucal.recording import ReadRange, Recording, Sensor
 from imucal.report.result import Report
+from imucal.user_input import seconds_of
 
 __all__ = ["calibrate"]
 

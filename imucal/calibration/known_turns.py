@@ -9,6 +9,7 @@ from imucal.arrays import BoolArray, FloatArray
 from imucal.calibration.turn_data import TurnData, carried_directions, is_in_place
 from imucal.errors import ArgumentError, DataError
 from imucal.frozen import frozen
+from imucal.user_input import quantity
 
 __all__ = ["KnownAngle", "known_angle", "known_of"]
 
@@ -22,9 +23,9 @@ _LARGEST_DEG = 36000.0
 _DIFFERENCE = 0.25
 #: Scale from which samples are raw counts; no sensor in rad/s is wrong by so much.
 _COUNTS = 5.0
-_PATTERN = re.compile(
-    r"(?P<angle>\d+(\.\d+)?)\s*(deg|°)?(\s*(\+-|\+/-|±)\s*(?P<deviation>\d+(\.\d+)?)\s*(deg|°)?)?"
-)
+#: Between an angle and its deviation.
+_PLUS_MINUS = re.compile(r"\+-|\+/-|±")
+_UNITS = {"": 1.0, "deg": 1.0, "°": 1.0}
 
 
 @frozen
@@ -40,11 +41,11 @@ def known_angle(text: str) -> KnownAngle:
 
     The deviation is 0.2° by default.
     """
-    match = _PATTERN.fullmatch(text.strip())
-    if match is None:
+    angle_text, *others = _PLUS_MINUS.split(text)
+    angle_deg = quantity(angle_text, _UNITS)
+    deviation_deg = quantity(others[0], _UNITS) if others else _DEVIATION_DEG
+    if angle_deg is None or deviation_deg is None or len(others) > 1:
         raise ArgumentError(f"{text!r} is not an angle; expected one such as 360deg or 360deg+-0.1deg")
-    angle_deg = float(match["angle"])
-    deviation_deg = _DEVIATION_DEG if match["deviation"] is None else float(match["deviation"])
     if not _SMALLEST_DEG <= angle_deg <= _LARGEST_DEG:
         raise ArgumentError(
             f"an angle of {angle_deg:g}° is outside {_SMALLEST_DEG:g}° to {_LARGEST_DEG:g}°; give the "

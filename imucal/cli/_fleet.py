@@ -10,10 +10,10 @@ import click
 
 from imucal.cli._printing import echo, print_findings, print_note, wrapped
 from imucal.cli.param_types import Text
-from imucal.clock import seconds_of
 from imucal.grading import GRADE_TEXTS, GRADES
 from imucal.remote import is_url
 from imucal.units import data_size, duration
+from imucal.user_input import seconds_of
 
 if TYPE_CHECKING:
     import polars as pl

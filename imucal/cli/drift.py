@@ -20,12 +20,12 @@ from imucal.cli.options import (
     unwrapped,
 )
 from imucal.cli.param_types import DURATION, Text
-from imucal.clock import seconds_of
 from imucal.grading import remedy
 from imucal.prediction import Drift, drift
 from imucal.prediction.drift import STRETCHES
 from imucal.report import numbers
 from imucal.units import duration
+from imucal.user_input import seconds_of
 
 SCHEMA = "imucal/drift/1"
 

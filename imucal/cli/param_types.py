@@ -1,6 +1,5 @@
 """Types of option values: texts, numbers, units, times, models and paths."""
 
-import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -8,7 +7,6 @@ from typing import Any
 
 import click
 
-from imucal.clock import seconds_of
 from imucal.recording import Sensor
 from imucal.units import (
     INCREMENT_UNITS,
@@ -17,6 +15,7 @@ from imucal.units import (
     parse_sample_unit,
     time_unit_ns,
 )
+from imucal.user_input import quantity, seconds_of
 
 
 class Text(click.ParamType):  # type: ignore[type-arg,unused-ignore] # generic from click 8.4 on
@@ -51,13 +50,11 @@ class Number(click.FloatRange):
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
         text = str(value).strip()
-        if self.unit:
-            text = re.sub(f"\\s*{self.unit}$", "", text, flags=re.IGNORECASE)
-        try:
-            number = float(text.removesuffix("%")) / (100 if self.percent and text.endswith("%") else 1)
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number):
+        units = {"": 1.0, self.unit.lower(): 1.0}
+        if self.percent:
+            units["%"] = 0.01
+        number = quantity(text, units, any_case=True)
+        if number is None:
             self.fail(f"{value!r} is not a finite number.", param, ctx)
         if self.percent and 1 < number < 100:
             self.fail(f"{value!r} is more than all; did you mean {number / 100:g} or {text}%?", param, ctx)
@@ -149,6 +146,8 @@ RATE = Number(1e-6, 1e9, unit="Hz")
 #: Beyond these limits intervals are meaningless.
 LEVEL = Number(0.01, 0.999999, percent=True)
 SHARE = Number(0, 1, min_open=True, max_open=True, percent=True)
+#: Relative half-width of an interval; it may exceed 1.
+PRECISION = Number(min=0, min_open=True, percent=True)
 SCALE = Number(min=0, min_open=True)
 ANGLE = Text("angle", angle_of)
 DURATION = Text("duration", seconds_of)

@@ -22,7 +22,7 @@ from imucal.cli.options import (
     si_units,
     unwrapped,
 )
-from imucal.cli.param_types import DURATION, LEVEL, RATE, Number, Text
+from imucal.cli.param_types import DURATION, LEVEL, PRECISION, RATE, Number
 from imucal.noise.terms import TERMS
 from imucal.planning import ENOUGH_DETECTED, ONE_DEVIATION, Need, Plan, needed_time, plan
 from imucal.recording import Sensor
@@ -33,18 +33,6 @@ from imucal.units import duration as duration_text
 SCHEMA = "imucal/planning/1"
 REST_SCHEMA = "imucal/calibration-plan/1"
 _KINDS = {"scale": "scale", "misalignment": "misalignment", "bias": "bias", "g_sensitivity": "g-sensitivity"}
-
-
-def _fraction(text: str) -> float:
-    """Return a positive fraction of ``0.1`` or ``10%``."""
-    text = text.strip()
-    try:
-        fraction = float(text.removesuffix("%")) / (100 if text.endswith("%") else 1)
-    except ValueError:
-        fraction = math.nan
-    if not 0 < fraction < math.inf:
-        raise ValueError(f"{text!r} is not a precision; write for example 10% or 0.1")
-    return fraction
 
 
 _EPILOG = unwrapped("""
@@ -66,7 +54,7 @@ Exit codes: 0 done, 2 usage, 3 the report can't be read.
 @option(
     "--precision",
     metavar="FRACTION",
-    type=Text("fraction", _fraction),
+    type=PRECISION,
     default="10%",
     show_default=True,
     help="Relative half-width of each term's interval.",

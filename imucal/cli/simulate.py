@@ -8,10 +8,10 @@ from imucal.cli._printing import echo, picked, print_json, print_note
 from imucal.cli.context import misuse
 from imucal.cli.options import OUTPUT, Command, flag, option, out_option, quiet, unwrapped
 from imucal.cli.param_types import DURATION, RATE, Number, Text, model_of
-from imucal.clock import seconds_of
 from imucal.noise import NoiseModel
 from imucal.recording import Sensor
 from imucal.units import G0
+from imucal.user_input import seconds_of
 
 #: Six axes take 48 GB.
 _MAX_SAMPLES = 1e9

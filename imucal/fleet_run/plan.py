@@ -23,8 +23,9 @@ from imucal.noise import parse_structure, structure_text
 from imucal.recording import Sensor
 from imucal.remote import is_url
 from imucal.remote.addresses import shown
-from imucal.resources import memory_there_is, parse_size, threads
+from imucal.resources import memory_there_is, threads
 from imucal.units import parse_increment_unit, parse_sample_unit, time_unit_ns
+from imucal.user_input import bytes_of
 
 MODEL, LEVEL = "N + B + K", 0.95
 #: Memory of the imported packages and a short log, in bytes.
@@ -252,7 +253,7 @@ _ARGUMENTS: dict[str, Column] = {
     "shard": ("(i, n) with i from 1 to n", tuple, lambda part: 1 <= part[0] <= part[1]),
     "memory": (
         f"a size such as 500M or 2G, {MIN_MEMORY >> 20}M or more",
-        lambda size: parse_size(str(size), least=MIN_MEMORY),
+        lambda size: bytes_of(str(size), least=MIN_MEMORY),
         bool,
     ),
     "timeout_s": ("seconds above 0", float, lambda seconds: 0 < seconds < math.inf),

@@ -12,9 +12,9 @@ from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS, in_order, symbol_of
 from imucal.recording import Sensor
 from imucal.units import find_unit
+from imucal.user_input import split_number
 
 _TERM = re.compile(r"\s*(?:(?P<count>[1-9]\d*)\s*\*\s*)?(?P<symbol>[A-Za-z][A-Za-z0-9]*)\s*")
-_VALUE = re.compile(r"(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>.*)")
 _TIMES = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _EXAMPLE = "such as 'N=1e-3 + B=2e-5 + K=3e-6 + GM(sigma=1e-4, T=50)'"
 
@@ -121,16 +121,17 @@ def _parse_term(part: str, sensor: Sensor) -> NoiseTerm:
 
 
 def _number(text: str, what: str, units: Mapping[str, float]) -> float:
-    match = _VALUE.fullmatch(text)
-    if match is None:
+    parts = split_number(text)
+    if parts is None:
         raise ArgumentError(f"{text!r} is not a number; write a sum {_EXAMPLE}")
-    if not match["unit"]:
-        return float(match["number"])
-    unit = find_unit(match["unit"], units)
+    number, name = parts
+    if not name:
+        return number
+    unit = find_unit(name, units)
     if unit is None:
-        msg = f"{text!r}: {match['unit']!r} is no unit of {what}; expected one of {', '.join(units)}"
+        msg = f"{text!r}: {name!r} is no unit of {what}; expected one of {', '.join(units)}"
         raise ArgumentError(msg)
-    return float(match["number"]) * unit[1]
+    return number * unit[1]
 
 
 def _refuse_repeats(symbols: tuple[str, ...]) -> None:

@@ -10,8 +10,9 @@ from pathlib import Path, PurePosixPath
 from typing import TypeVar
 from urllib.parse import SplitResult, unquote, urlsplit, urlunsplit
 
-from imucal.errors import ImucalError, ReadError, SettingError
+from imucal.errors import ArgumentError, ImucalError, ReadError, SettingError
 from imucal.frozen import frozen
+from imucal.user_input import seconds_of
 
 #: At least two letters: C: is a drive.
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://")
@@ -231,8 +232,8 @@ def timeout() -> float:
     if not text:
         return _DEFAULT_TIMEOUT_S
     try:
-        seconds = float(text.removesuffix("s"))
-    except ValueError:
+        seconds = seconds_of(text)
+    except ArgumentError:
         seconds = 0.0
     if not 0 < seconds < 1e6:
         raise SettingError(f"{TIMEOUT}: found {text!r}, expected seconds such as 60; set some, or unset it")

@@ -325,7 +325,7 @@ def test_turns_of_a_known_angle_show_the_scale_of_the_gyroscope(tmp_path: Path) 
     no_gyro = run(*arguments, "--turns", "360deg", "--no-gyro", cwd=tmp_path)
     assert no_gyro.returncode == 2
     assert "turns of a known angle calibrate the gyroscope; omit one of them" in no_gyro.stderr
-    for text in ("1e3deg", "deg", "5deg", "360deg+-0deg", "360deg+-100deg", "99999deg"):
+    for text in ("1e9deg", "deg", "5deg", "360deg+-0deg", "360deg+-100deg", "99999deg"):
         refused = run(*arguments, "--turns", text, cwd=tmp_path)
         assert refused.returncode == 2, text
         assert "Invalid value for '--turns'" in refused.stderr
