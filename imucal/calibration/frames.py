@@ -16,9 +16,10 @@ FRAMES = {
     "imu-tk": "z along the accelerometer's z axis, y in its y-z plane",
     "nearest": "as near as possible to all three axes of the accelerometer",
 }
-#: Derivatives of C in its lower triangle, shape (3, 3, 6).
-LOWER_SLOPES = np.zeros((3, 3, 6))
-LOWER_SLOPES[(*LOWER, range(6))] = 1.0
+#: Derivatives of C by each element of its lower triangle, shape (3, 3, 6).
+LOWER_SLOPES = np.stack(
+    [np.outer(np.eye(3)[row], np.eye(3)[column]) for row, column in zip(*LOWER, strict=True)], axis=-1
+)
 #: Relative step of a central difference: its error is about 1e-10.
 _STEP = 1e-6
 

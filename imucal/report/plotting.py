@@ -1,6 +1,5 @@
 """`imucal.plot`: recordings, curves, fits and reports in the style of the report's pictures."""
 
-from functools import singledispatch
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -101,10 +100,20 @@ def _draw_sensor(parts: list[Any], axes: "Axes") -> None:
     axes.legend(loc="upper right", **LEGEND_STYLE)
 
 
-@singledispatch
-def _draw(value: object, _: "Axes") -> None:
-    known = "a recording, one of its axes, an Allan curve, a fit or a report"
-    raise ArgumentError(f"{type(value).__name__} can't be plotted; give {known}")
+def _draw(value: object, axes: "Axes") -> None:
+    match value:
+        case AxisSeries():
+            _draw_signal(value, axes)
+        case AllanCurve():
+            _draw_curve(value, axes)
+        case NoiseFit():
+            _draw_fit(value, axes)
+        case AxisReport():
+            _draw_fit(value.fit, axes)
+            axes.set_title(drawing.axis_title(value), loc="left", color=INK, fontweight="bold")
+        case _:
+            known = "a recording, one of its axes, an Allan curve, a fit or a report"
+            raise ArgumentError(f"{type(value).__name__} can't be plotted; give {known}")
 
 
 def _draw_signal(series: AxisSeries, axes: "Axes") -> None:
@@ -118,11 +127,7 @@ def _draw_signal(series: AxisSeries, axes: "Axes") -> None:
     axes.set_ylabel(f"samples minus their middle ({pretty(series.unit)})", **LABEL_STYLE)
 
 
-_draw.register(AxisSeries)(_draw_signal)
-
-
-@_draw.register(AllanCurve)
-def _(curve: AllanCurve, axes: "Axes") -> None:
+def _draw_curve(curve: AllanCurve, axes: "Axes") -> None:
     shown = shown_points(curve)
     tau, adev = curve.tau[shown], curve.adev[shown]
     y_limits = limits(adev, below=2.2, above=2.2)
@@ -134,13 +139,6 @@ def _(curve: AllanCurve, axes: "Axes") -> None:
     axes.legend(**LEGEND_STYLE)
 
 
-@_draw.register(NoiseFit)
-def _(fit: NoiseFit, axes: "Axes") -> None:
+def _draw_fit(fit: NoiseFit, axes: "Axes") -> None:
     entries = draw_allan(axes, fit, sheet_units([fit]))
     axes.legend(handles=entries, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, **LEGEND_STYLE)
-
-
-@_draw.register(AxisReport)
-def _(axis: AxisReport, axes: "Axes") -> None:
-    _draw(axis.fit, axes)
-    axes.set_title(drawing.axis_title(axis), loc="left", color=INK, fontweight="bold")
