@@ -12,6 +12,7 @@ from imucal.calibration.poses import attitudes
 from imucal.calibration.result import Calibration
 from imucal.frozen import frozen
 from imucal.report.markup import Markup, render
+from imucal.report.numbers import value_and_half
 from imucal.units import G0, duration
 
 if TYPE_CHECKING:
@@ -167,7 +168,7 @@ def _row(name: str, found: Parameter) -> Row:
     if found.value is None or found.half_width is None:
         return Row(name=title, value="not observable", half="")
     (number, unit), (width, _) = readable(found.value, found.unit), readable(found.half_width, found.unit)
-    value, half = _rounded(number, width)
+    value, half = value_and_half(number, width)
     remark = found.status if found.status in _LISTED else ""
     return Row(name=title, value=f"{value} {unit}", half=half, remark=remark)
 
@@ -182,15 +183,8 @@ def _sensitivity(found: list[Parameter]) -> Row:
         most = max(abs(end) for each in known for end in (each.low, each.high) if end is not None)
         return Row(name=name, value=f"none, < {most * factor:.2g} {unit}", half="")
     worst = max(known, key=lambda each: abs(each.value or 0.0))
-    value, half = _rounded(abs(worst.value or 0.0) * factor, (worst.half_width or 0.0) * factor)
+    value, half = value_and_half(abs(worst.value or 0.0) * factor, (worst.half_width or 0.0) * factor)
     return Row(name=name, value=f"up to {value} {unit}", half=half)
-
-
-def _rounded(value: float, half: float) -> tuple[str, str]:
-    if not (math.isfinite(half) and half > 0):
-        return f"{value:.6g}", f"{half:.2g}"
-    places = max(0, 1 - math.floor(math.log10(half)))
-    return f"{value:.{places}f}", f"{half:.{places}f}"
 
 
 def _fitted(own: Iterable[Row], columns: int) -> Iterator[str]:

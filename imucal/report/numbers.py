@@ -164,10 +164,14 @@ def decimals(quantity: Quantity) -> int:
         return _places(quantity.value, 4)
     if half <= 1e-4 * abs(quantity.value):
         return _places(quantity.value, 5)
+    return max(_places_of_half(half), _places(quantity.value, 2))
+
+
+def _places_of_half(half: float) -> int:
+    """Return the decimal places of half an interval: two digits up to 35, otherwise one."""
     exponent = math.floor(math.log10(half))
     # 950 and more round up to 1000.
-    places = -exponent + (half / 10.0**exponent < 3.55)
-    return max(places, _places(quantity.value, 2))
+    return -exponent + (half / 10.0**exponent < 3.55)
 
 
 def power_of_ten(quantity: Quantity) -> int:
@@ -222,6 +226,14 @@ def with_uncertainty(quantity: Quantity, *, exponent: int | None = None) -> str:
         return with_interval(quantity, exponent=exponent)
     body = f"{value} ± {_fixed((scaled.high - scaled.low) / 2, decimals(scaled))}"
     return with_unit(f"({body})" if exponent else body, exponent, quantity.unit)
+
+
+def value_and_half(value: float, half: float) -> tuple[str, str]:
+    """Return a value of either sign and half of its interval, such as ``-0.133`` and ``0.011``."""
+    if not (math.isfinite(half) and half > 0):
+        return f"{value:.6g}", f"{half:.2g}"
+    places = _places_of_half(half)
+    return _fixed(value, places), _fixed(half, places)
 
 
 def with_interval(quantity: Quantity, *, exponent: int | None = None) -> str:
