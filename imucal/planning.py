@@ -51,8 +51,8 @@ class Need:
 
     `value` is the coefficient in SI (a correlation time in s), or an upper bound if `bounded`. `needed_s` is
     long enough for the precision and to show the term in four of five records; infinite if no record shows
-    it. `reached` is the relative precision of the present record, `shown` the share of records of this length
-    that show the term; None without a record.
+    it. `reached` is the relative precision of the present record, `detected` the share of records of this
+    length that show the term; None without a record.
     """
 
     name: str
@@ -61,7 +61,7 @@ class Need:
     bounded: bool
     needed_s: float
     reached: float | None
-    shown: float | None
+    detected: float | None
 
 
 @frozen
@@ -195,7 +195,7 @@ def needed_time(seconds: float) -> str:
 
 
 def _fit_plan(fit: NoiseFit, ask: _Ask) -> AxisPlan:
-    seen = [(e.term(e.value), False) for e in fit.estimates if e.value and e.drawn]
+    seen = [(e.term(e.value), False) for e in fit.estimates if e.value and e.in_model]
     unseen = [
         (e.term(e.high), True)
         for e in fit.estimates
@@ -212,15 +212,15 @@ def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask
         whole = NoiseModel(terms=(*model.terms, term)) if bounded else model
         names = next(own for other, own in named_terms(whole) if other is term)
         for name, value in zip(names, term.values, strict=True):
-            reached = shown = None
+            reached = detected = None
             bound = math.inf
             if ask.duration_s is not None:
                 bound = _bound(whole, name, ask.rate_hz, ask.duration_s)
-                reached, shown = _found(bound) * ask.quantile, _share_detected(name, bound)
+                reached, detected = _found(bound) * ask.quantile, _share_detected(name, bound)
             near, enough = ask.duration_s or _USUAL, _largest_bound(name, wanted)
             long = ask.longer and bound <= enough
             needed = near if long else _needed(whole, name, ask.rate_hz, enough, near)
-            needs.append(Need(name, term.symbol, value, bounded, needed, reached, shown))
+            needs.append(Need(name, term.symbol, value, bounded, needed, reached, detected))
     needs.sort(key=lambda need: list(TERMS).index(need.symbol))
     return AxisPlan(model=str(model), rate_hz=ask.rate_hz, duration_s=ask.duration_s, needs=tuple(needs))
 

@@ -129,12 +129,12 @@ def test_a_term_must_also_be_detectable() -> None:
     coarse = plan(model, rate_hz=20, precision=0.9)
     (axis,) = plan(model, rate_hz=20, duration_s=coarse.needed_s).axes
     walk = next(need for need in axis.needs if need.name == "K")
-    assert walk.shown == pytest.approx(0.8, abs=0.001)
+    assert walk.detected == pytest.approx(0.8, abs=0.001)
     assert coarse.needed_s == pytest.approx(plan(model, rate_hz=20, precision=0.3).needed_s)
     (short,) = plan(model, rate_hz=20, duration_s=coarse.needed_s / 4).axes
     faint = next(need for need in short.needs if need.name == "K")
-    assert faint.shown is not None
-    assert faint.shown < 0.4
+    assert faint.detected is not None
+    assert faint.detected < 0.4
 
 
 @pytest.mark.slow
@@ -147,7 +147,7 @@ def test_records_of_the_planned_length_detect_the_term() -> None:
         fits = [fit(_series(model.simulate(round(10 * duration_s), rate_hz=10, rng=rng))) for _ in range(12)]
         widths = [(f["K"].high - f["K"].low) / 2 / 1.96 / 1e-5 for f in fits if f["K"].value]
         (axis,) = plan(model, rate_hz=10, duration_s=duration_s).axes
-        share = next(need.shown for need in axis.needs if need.name == "K")
+        share = next(need.detected for need in axis.needs if need.name == "K")
         assert share is not None
         # Two standard errors of twelve records.
         assert len(widths) == pytest.approx(12 * share, abs=2 * math.sqrt(12 * share * (1 - share)))
@@ -248,7 +248,7 @@ def test_flicker_needs_more_evidence_than_a_random_walk() -> None:
         needed_s = plan(model, rate_hz=20, precision=0.9).needed_s
         (axis,) = plan(model, rate_hz=20, duration_s=needed_s).axes
         need = next(need for need in axis.needs if need.name == name)
-        assert need.shown == pytest.approx(0.8, abs=0.002)
+        assert need.detected == pytest.approx(0.8, abs=0.002)
         assert need.reached is not None
         shown[name] = need.reached
     assert shown["B"] < shown["K"]

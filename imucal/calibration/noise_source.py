@@ -121,7 +121,7 @@ def base_covariance(models: tuple[NoiseModel, ...], data: Triad, rests: RestMean
 def _model(fit: NoiseFit) -> NoiseModel:
     terms: list[NoiseTerm] = []
     for estimate in fit.estimates:
-        value = estimate.value if estimate.value is not None else estimate.drawn
+        value = estimate.value if estimate.value is not None else estimate.in_model
         if value is None and math.isfinite(estimate.high) and estimate.symbol in _SLOW:
             value = estimate.high * math.sqrt(MEAN.bounded)
         if not value:

@@ -138,7 +138,9 @@ def to_document(result: Plan) -> dict[str, object]:
             {
                 "axis": axis.axis or None,
                 **picked(axis, "model rate_hz duration_s"),
-                "terms": [picked(need, "name value bounded needed_s reached shown") for need in axis.needs],
+                "terms": [
+                    picked(need, "name value bounded needed_s reached detected") for need in axis.needs
+                ],
             }
             for axis in result.axes
         ],
@@ -182,12 +184,12 @@ def _reached(need: Need) -> str:
         return ""
     if need.reached >= 1:
         return "nothing"
-    often = f" ({math.floor(10 * (need.shown or 0.0))} of 10)" if _may_be_missed(need) else ""
+    often = f" ({math.floor(10 * (need.detected or 0.0))} of 10)" if _may_be_missed(need) else ""
     return f"±{100 * need.reached:.2g} %{often}"
 
 
 def _may_be_missed(need: Need) -> bool:
-    return need.shown is not None and need.shown < ENOUGH_DETECTED
+    return need.detected is not None and need.detected < ENOUGH_DETECTED
 
 
 def _unit(sensor: Sensor | None, need: Need, *, datasheet: bool) -> DatasheetUnit:

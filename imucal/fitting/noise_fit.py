@@ -139,8 +139,8 @@ class Estimate:
     the term, `value` is None, `low` 0 and `high` the upper bound. `correlation_time` is T, in s.
     `alternatives` are symbols of terms that the record can't distinguish from this one.
 
-    `drawn` is the coefficient in the fit's model, None if the model has no such term. A bounded term is in
-    the model if the model without it would be less likely. The `NoiseFit` sets `drawn` and `sensor`.
+    `in_model` is the coefficient in the fit's model, None if the model has no such term. A bounded term is in
+    the model if the model without it would be less likely. The `NoiseFit` sets `in_model` and `sensor`.
 
     `horizon_s` is the longest time for which the coefficient is valid. `widening` is the factor by which the
     interval is wider than the likelihood's. `origin` describes a number that is not an estimate of one
@@ -155,7 +155,7 @@ class Estimate:
     high: float
     correlation_time: Interval | None = None
     alternatives: tuple[str, ...] = ()
-    drawn: float | None = None
+    in_model: float | None = None
     horizon_s: float = np.inf
     widening: float = 1.0
     origin: str = ""
@@ -305,14 +305,14 @@ class NoiseFit(Displayed):
         return keyed(self.estimates, key, "the fit has")
 
     def __post_init__(self) -> None:
-        coefficients = {key: abs(term.coefficient) for key, term in self.drawn.items()}
+        coefficients = {key: abs(term.coefficient) for key, term in self.terms_in_model.items()}
         estimates = tuple(
-            replace(e, drawn=coefficients.get(e.key), sensor=self.sensor) for e in self.estimates
+            replace(e, in_model=coefficients.get(e.key), sensor=self.sensor) for e in self.estimates
         )
         object.__setattr__(self, "estimates", estimates)
 
     @property
-    def drawn(self) -> dict[str, NoiseTerm]:
+    def terms_in_model(self) -> dict[str, NoiseTerm]:
         """The model's terms by the keys of their estimates; those with a value come before bounded ones."""
         found: dict[str, NoiseTerm] = {}
         for symbol in dict.fromkeys(term.symbol for term in self.model.terms):

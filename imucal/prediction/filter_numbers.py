@@ -71,7 +71,7 @@ class FilterNumbers:
         One-sided level at which the spectrum is covered; None for the mean over the fits' uncertainty.
     ratios
         (t, ratio): predicted over modelled Allan deviation at t, in s.
-    price
+    excess
         Mean ratio of predicted Allan deviation to the upper limit to cover.
     basis
         ``spectrum`` of the model, or ``curve``: the upper limits of the Allan curve.
@@ -84,7 +84,7 @@ class FilterNumbers:
     step_s: float
     level: float | None
     ratios: tuple[tuple[float, float], ...]
-    price: float
+    excess: float
     basis: Literal["spectrum", "curve"] = "spectrum"
 
     @property
@@ -170,7 +170,7 @@ def filter_numbers(
         step_s=step_s,
         level=LEVEL if len(fits) == 1 else None,
         ratios=_ratios(fits, lambda t: whites[best] / t + walks[best] * drift(t), step_s, join),
-        price=math.exp(prices[best] / 2),
+        excess=math.exp(prices[best] / 2),
         basis=goal.basis,
     )
 

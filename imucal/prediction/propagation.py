@@ -129,9 +129,9 @@ def _held(fit: NoiseFit) -> Iterator[tuple[Estimate, bool]]:
 
     An estimate with a value that is not in the model describes the same noise as terms of the model.
     """
-    drawn = fit.drawn
+    drawn = fit.terms_in_model
     for estimate in fit.estimates:
-        value = estimate.drawn
+        value = estimate.in_model
         if estimate.value is not None or value is None or not math.isfinite(estimate.high):
             yield estimate, value is not None
             continue

@@ -126,7 +126,7 @@ def _read_off_mark(drawn: Drawn) -> Style:
 
 def drawn_terms(fit: NoiseFit) -> list[Drawn]:
     """Return each term of the fit, and each bound."""
-    found, terms = [], fit.drawn
+    found, terms = [], fit.terms_in_model
     for estimate in fit.estimates:
         term = terms.get(estimate.key)
         if estimate.value is None:

@@ -161,7 +161,7 @@ _CURVE = layout_of(
 )
 _TERM = layout_of(
     Estimate,
-    "symbol name= status value low high unit= datasheet= drawn= alternatives? horizon_s? widening? "
+    "symbol name= status value low high unit= datasheet= in_model= alternatives? horizon_s? widening? "
     "correlation_time? phi= q=",
     symbol=one_of(*TERMS),
     low=OR_NAN,
@@ -307,7 +307,11 @@ def _fit_entry(fit: NoiseFit, sensor: Sensor) -> JsonObject:
 
 def _term_entry(estimate: Estimate, fit: NoiseFit, sensor: Sensor) -> JsonObject:
     kind = TERMS[estimate.symbol]
-    message: JsonObject = {"name": kind.name(sensor), "unit": kind.unit(sensor), "drawn": estimate.drawn}
+    message: JsonObject = {
+        "name": kind.name(sensor),
+        "unit": kind.unit(sensor),
+        "in_model": estimate.in_model,
+    }
     if len(kind.parameters()) > 1:
         # State of a filter: x[t+1] = phi x[t] + q w[t].
         time, term = estimate.correlation_time, numbers.gauss_markov_term(fit, estimate)

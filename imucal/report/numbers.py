@@ -31,14 +31,14 @@ _SMALL = 0.1
 class Quantity:
     """A value with its limits and unit; `value` is None if only the bound `high` is known.
 
-    `drawn` is the coefficient in the model of a bounded term.
+    `in_model` is the coefficient in the model of a bounded term.
     """
 
     value: float | None
     low: float
     high: float
     unit: str = ""
-    drawn: float | None = None
+    in_model: float | None = None
 
     @classmethod
     def of(cls, known: Any, unit: str = "") -> "Quantity":  # noqa: ANN401
@@ -49,9 +49,9 @@ class Quantity:
         return cls(value=value, low=value, high=value)
 
     def scaled(self, factor: float, unit: str = "") -> "Quantity":
-        value, drawn = (None if x is None else x * factor for x in (self.value, self.drawn))
+        value, in_model = (None if x is None else x * factor for x in (self.value, self.in_model))
         low, high = self.low * factor, self.high * factor
-        return Quantity(value=value, low=low, high=high, unit=unit, drawn=drawn)
+        return Quantity(value=value, low=low, high=high, unit=unit, in_model=in_model)
 
     def text(self) -> str:
         """Return ``0.41 [0.4, 0.42]``, ``<= 0.2`` for a bound, or only the number."""
@@ -70,7 +70,7 @@ class Quantity:
 
 def gauss_markov_term(fit: NoiseFit, estimate: Estimate) -> GaussMarkov | None:
     """Return the term of an estimate; None if it is bounded or not in the model."""
-    term = fit.drawn.get(estimate.key) if estimate.value is not None else None
+    term = fit.terms_in_model.get(estimate.key) if estimate.value is not None else None
     return term if isinstance(term, GaussMarkov) else None
 
 
@@ -83,7 +83,7 @@ def si(estimate: Estimate, sensor: Sensor | None) -> Quantity:
     """Return a coefficient in SI; without a unit if the sensor is unknown."""
     unit = TERMS[estimate.symbol].unit(sensor) if sensor else ""
     found = Quantity.of(estimate, unit)
-    return found if found.value is not None else replace(found, drawn=estimate.drawn)
+    return found if found.value is not None else replace(found, in_model=estimate.in_model)
 
 
 def datasheet(estimate: Estimate, sensor: Sensor | None) -> Quantity:
@@ -204,7 +204,7 @@ def compact(quantity: Quantity, *, exponent: int = 0) -> tuple[str, str]:
     """
     scaled = quantity.scaled(10.0**-exponent, quantity.unit)
     if scaled.value is None:
-        drawn = "" if scaled.drawn is None else f"(model: {_fixed(scaled.drawn, decimals(scaled))})"
+        drawn = "" if scaled.in_model is None else f"(model: {_fixed(scaled.in_model, decimals(scaled))})"
         return _bound(scaled.high), drawn
     places = decimals(scaled)
     value = _fixed(scaled.value, places)

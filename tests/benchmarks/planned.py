@@ -73,7 +73,7 @@ def main() -> None:
             found = half_widths(model, name, duration, options.records, options.seed)
             print(
                 f"| {label} | {bound} | {duration:.0f} | {need.reached:.3f} | {np.median(found):.3f} "
-                f"| {need.shown:.2f} | {np.isfinite(found).mean():.2f} |",
+                f"| {need.detected:.2f} | {np.isfinite(found).mean():.2f} |",
                 flush=True,
             )
 

@@ -54,7 +54,7 @@ def test_json_is_the_plan(tmp_path: Path) -> None:
         "bounded": False,
         "needed_s": None,
         "reached": None,
-        "shown": None,
+        "detected": None,
     }
 
 

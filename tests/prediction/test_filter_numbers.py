@@ -136,7 +136,7 @@ def test_a_bias_with_the_models_time_adds_no_noise(drawn: NoiseFit) -> None:
     assert long == 3000
     pair = filter_numbers([fit], time_s=own)
     assert pair.sigma == pytest.approx(1e-3, rel=0.03)
-    assert pair.price < filter_numbers([fit], time_s=long).price
+    assert pair.excess < filter_numbers([fit], time_s=long).excess
 
 
 def test_the_pair_of_a_slope_fit_covers_the_curve(drawn: NoiseFit) -> None:

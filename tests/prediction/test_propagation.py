@@ -164,7 +164,7 @@ def test_a_random_walk_and_its_gauss_markov_term_count_once(fit: NoiseFit) -> No
     def angle(term: NoiseTerm) -> FloatArray:
         return coasting_variance(term, TIMES, rest_s=REST, rate_hz=10.0)
 
-    assert [e.drawn for e in named.estimates] == [1e-3, 1e-3, None]
+    assert [e.in_model for e in named.estimates] == [1e-3, 1e-3, None]
     expected = sum(angle(term) for term in model.terms)
     np.testing.assert_allclose(modelled(named, angle), expected)
     np.testing.assert_allclose(lower_limit(named, angle), lower_limit(known, angle))

@@ -99,13 +99,13 @@ def test_rounding_keeps_the_digits_that_the_interval_supports(
 
 def test_a_drawn_bounded_term_is_reported() -> None:
     """The drawn value has the unit and digits of its row, in tables and pictures."""
-    bound = replace(_quantity(None, 0, 4.7e-6), drawn=2.5e-6)
+    bound = replace(_quantity(None, 0, 4.7e-6), in_model=2.5e-6)
     assert compact(bound, exponent=-6) == ("< 4.7", "(model: 2.5)")
     assert with_uncertainty(bound.scaled(1e6, "deg/h")) == "< 4.7 (model: 2.5) deg/h"
-    found = Estimate(key="K", symbol="K", status="bounded", value=None, low=0, high=4.7e-6, drawn=2.5e-6)
-    assert numbers.si(found, Sensor.GYROSCOPE).drawn == 2.5e-6
+    found = Estimate(key="K", symbol="K", status="bounded", value=None, low=0, high=4.7e-6, in_model=2.5e-6)
+    assert numbers.si(found, Sensor.GYROSCOPE).in_model == 2.5e-6
     shown = replace(found, status="estimated", value=2.5e-6)
-    assert numbers.si(shown, Sensor.GYROSCOPE).drawn is None
+    assert numbers.si(shown, Sensor.GYROSCOPE).in_model is None
 
 
 def test_a_walk_that_may_be_a_gauss_markov_term_has_a_minimum_t() -> None:

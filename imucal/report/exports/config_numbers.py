@@ -319,7 +319,7 @@ class Numbers:
             [self.pair(axes, time_s=time) for axes in groups]
             for time in correlation_times(fits, horizon_s=self.horizon_s)
         )
-        return min(tried, key=lambda pairs: math.prod(pair.price for pair in pairs))
+        return min(tried, key=lambda pairs: math.prod(pair.excess for pair in pairs))
 
     def forgetful(self, sensor: str) -> dict[str, float]:
         """Return N, K and T (in s) that cover a sensor's spectrum; empty with fitted numbers."""
@@ -351,7 +351,7 @@ class Numbers:
         A detected random walk gets a nominal T, because a short T would limit its growth.
         """
         used, term, walk = [self.of(axis, "N")], self.slowest(axis), axis.fit["K"]
-        if term is not None and (walk.value is None or walk.drawn is None):
+        if term is not None and (walk.value is None or walk.in_model is None):
             driving, time = term.sigma * math.sqrt(2 / term.T), term.T
             message = f"Gauss-Markov term of {axis.name}: sigma {term.sigma:.4g}, T {term.T:.4g} s"
         else:

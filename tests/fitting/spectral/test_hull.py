@@ -118,17 +118,17 @@ def test_n_always_has_a_value(monkeypatch: pytest.MonkeyPatch) -> None:
         assert n.value == pytest.approx(floor, rel=0.05)
         assert 0 < n.low < n.value < n.high
         assert "GM" in n.alternatives
-        assert n.drawn is None
+        assert n.in_model is None
 
 
 def test_a_bounded_term_of_the_model_reports_the_drawn_value(fits: list[NoiseFit]) -> None:
     """Its interval includes zero, although the model without the term would be less likely."""
     bounded = [e for fit in fits for e in fit.estimates if e.value is None]
-    drawn = [e.drawn for e in bounded if e.drawn is not None]
+    drawn = [e.in_model for e in bounded if e.in_model is not None]
     assert drawn
-    assert all(0 < (e.drawn or 0.0) <= e.high for e in bounded if e.drawn is not None)
+    assert all(0 < (e.in_model or 0.0) <= e.high for e in bounded if e.in_model is not None)
     reported = [e for fit in fits for e in fit.estimates if e.value is not None and e.key != "K"]
-    assert all(e.drawn == e.value for e in reported)
+    assert all(e.in_model == e.value for e in reported)
 
 
 def test_possible_replacements_are_listed() -> None:
