@@ -24,6 +24,7 @@ from imucal.readers.containers.rosbag2_folder import (
     parse_metadata,
 )
 from imucal.readers.files import DamagedError
+from tests.raising import raises
 from tests.readers.containers.mcap_bytes import channel, schema
 from tests.readers.logs import imu_messages, samples, write_db3
 
@@ -174,19 +175,19 @@ def test_large_metadata_and_files_that_are_not_regular_are_refused(tmp_path: Pat
     (tmp_path / "log.mcap").touch()
     metadata = tmp_path / "metadata.yaml"
     metadata.write_bytes(b"\n" * (MAX_METADATA + 1))
-    with pytest.raises(ReadError, match="metadata of more than 1 MB; expected"):
+    with raises(ReadError, "more than 1 MB", place="metadata.yaml"):
         open_folder(tmp_path)
     metadata.unlink()
     metadata.symlink_to("/dev/zero")
-    with pytest.raises(ReadError, match=r"metadata\.yaml: a device; expected a regular file"):
+    with raises(ReadError, "a device", place="metadata.yaml"):
         open_folder(tmp_path)
     metadata.unlink()
     os.mkfifo(metadata)
-    with pytest.raises(ReadError, match=r"metadata\.yaml: a pipe; expected a regular file"):
+    with raises(ReadError, "a pipe", place="metadata.yaml"):
         open_folder(tmp_path)
     metadata.unlink()
     os.mkfifo(tmp_path / "more.mcap")
-    with pytest.raises(ReadError, match=r"more\.mcap: a pipe; expected a regular file"):
+    with raises(ReadError, "a pipe", place="more.mcap"):
         open_folder(tmp_path)
 
 

@@ -13,6 +13,7 @@ from imucal.readers.tables.plan import find_bare_triads, find_temperature, find_
 from imucal.readers.tables.text_table import read
 from imucal.recording import Sensor
 from imucal.units import SAMPLE_UNITS, TIME_UNITS_NS, parse_sample_unit, time_unit_ns
+from tests.raising import raises
 from tests.readers.tables.texts import N, cells, lines, seconds, truth, two_ardupilots, xyz
 
 GYRO, ACCEL = Role.GYROSCOPE, Role.ACCELEROMETER
@@ -178,7 +179,12 @@ def test_one_usual_tag_identifies_both_sensors(
 def test_tags_of_two_gyroscopes_are_not_guessed() -> None:
     """The user must choose; the error offers the columns texts."""
     table = named("tag", "x", "y", "z", rows=[(tag, "1", "2", "3") for tag in ("gyro2", "gyro1", "acc")])
-    with pytest.raises(ChoiceError, match=r"gyro1, gyro2.*such as g=1:4@gyro1,a=1:4@acc or g=1:4@gyro2,a="):
+    with raises(
+        ChoiceError,
+        r"gyro1, gyro2.*such as g=1:4@gyro1,a=1:4@acc or g=1:4@gyro2,a=",
+        place="log.csv",
+        argument="columns",
+    ):
         find_bare_triads(table, "log.csv")
 
 
@@ -195,7 +201,7 @@ def test_the_file_name_identifies_the_sensor() -> None:
         found, how = find_bare_triads(named("x", "y", "z"), name)
         assert ([*found], how) == ([sensor], "by the name of the file")
     for name in ("accuracy.csv", "gyro_acc.csv"):
-        with pytest.raises(ChoiceError, match="have no sensor in their names"):
+        with raises(ChoiceError, "no sensor in their names", place="log.csv", argument="columns"):
             find_bare_triads(named("x", "y", "z"), name)
 
 
