@@ -108,7 +108,7 @@ def test_info_reads_no_samples_of_a_highly_compressed_log(
     assert "no gaps" in run("info", "log.npz", cwd=tmp_path).stdout
     monkeypatch.setattr("imucal.cli.info._SMALL", 150_000)
     done = run("info", "log.npz", cwd=tmp_path)
-    assert "Gaps were not checked in a large log; --gaps reads all samples." in done.stdout
+    assert "Gaps were not checked" in done.stdout
     assert "no gaps" in run("info", "--gaps", "log.npz", cwd=tmp_path).stdout
     listed = json.loads(run("info", "--json", "log.npz", cwd=tmp_path).stdout)
     assert listed["logs"][0]["unpacked_bytes"] == 8 * 7 * 3000

@@ -261,7 +261,7 @@ def test_a_damaged_definition_is_refused(tmp_path: Path) -> None:
     damaged = text.replace("float64[9] angular_velocity_covariance", "float64[8] angular_velocity_covariance")
     assert damaged != text
     path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH), definitions={IMU: ("ros2msg", damaged)})
-    with pytest.raises(ReadError, match=r"a message has \d+ bytes instead of the \d+ of its definition"):
+    with raises(ReadError, "316 bytes instead of the 308", place="log.mcap"):
         read(path)
 
 

@@ -359,9 +359,8 @@ def refused(folder: Path, content: str, name: str = "log.csv", **options: object
     path.write_text(content, encoding="utf-8")
     with pytest.raises(ChoiceError) as caught:
         read(path, ReadOptions(**options))  # type: ignore[arg-type]
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ")
-    return message.removeprefix(f"{path}: ")
+    assert caught.value.place == str(path)
+    return caught.value.sentence
 
 
 HOW = "(numbers from 0 without the end, or three names joined by +)"
@@ -436,7 +435,13 @@ def test_two_sets_of_gyroscope_columns_are_refused(tmp_path: Path) -> None:
     """The user must choose; the error offers the columns texts."""
     header = "t,gyroADC[0],gyroADC[1],gyroADC[2],gyroUnfilt[0],gyroUnfilt[1],gyroUnfilt[2]"
     content = lines(header, seconds(truth()), *xyz(truth().gyro), *xyz(truth().gyro))
-    assert refused(tmp_path, content).partition("; also, the unit of the gyroscope is unknown")[0] == (
+    path = tmp_path / "log.csv"
+    path.write_text(content, encoding="utf-8")
+    with pytest.raises(ChoiceError) as caught:
+        read(path, ReadOptions())
+    columns, unit = caught.value.parts()
+    assert "gyro_unit" in [fix.argument for fix in unit.fixes]
+    assert columns.sentence == (
         "2 sets of gyroscope columns: gyroADC[0], gyroUnfilt[0]; found columns: 0 t, 1 gyroADC[0], 2 "
         "gyroADC[1], 3 gyroADC[2], 4 gyroUnfilt[0], 5 gyroUnfilt[1], 6 gyroUnfilt[2]; name them in a "
         f"columns text such as t=0,g=1:4 or t=0,g=4:7 {HOW}"
