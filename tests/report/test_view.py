@@ -20,7 +20,6 @@ from imucal.report.view import ROWS, Cell, Row, Subject, view, views
 from tests.report.random_reports import STATES, axis_of, random_report, report_of
 from tests.report.synthetic import consumer_report
 
-pytestmark = pytest.mark.usefixtures("pairs_are_found_once")
 _LETTERS: tuple[Axis, ...] = ("x", "y", "z")
 
 
