@@ -4,8 +4,6 @@ import os
 import signal
 import threading
 from collections.abc import Iterator
-from functools import cache
-from unittest import mock
 
 import pytest
 
@@ -13,12 +11,10 @@ __all__ = [
     "faults_fail_the_test",
     "forks",
     "logs_are_done_here",
-    "machine_is_asked_once",
     "pictures_are_blank",
     "pytest_addoption",
     "pytest_collection_modifyitems",
     "update_golden",
-    "work_stays_here",
 ]
 
 # This must precede the import of NumPy, here and in the workers: matrices are small, and competing threads
@@ -43,22 +39,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(autouse=True)
 def faults_fail_the_test(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Raise faults of the program in side work (second opinions …), which users only see as findings."""
-    from imucal import processes
+    """Raise faults of the program in side work (second opinions …), which users only see as findings.
 
-    monkeypatch.setattr(processes, "faults_are_raised", lambda: True)
-
-
-@pytest.fixture(autouse=True)
-def work_stays_here(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run parallel work in this process, unless a test uses `forks`.
-
-    A child's caches are lost for the next test, and servers of earlier tests could prevent forks.
+    All tests use it, because it changes no result of a program without faults, and a fault could occur in any
+    test. IMUCAL_DEBUG would do the same but also changes the messages of the command line.
     """
     from imucal import processes
 
-    if "forks" not in request.fixturenames:
-        monkeypatch.setattr(processes, "may_fork", lambda: False)
+    monkeypatch.setattr(processes, "faults_are_raised", lambda: True)
 
 
 @pytest.fixture
@@ -83,15 +71,6 @@ def pictures_are_blank() -> Iterator[None]:
     from tests.report.blank import blank_pictures
 
     with blank_pictures():
-        yield
-
-
-@pytest.fixture(scope="session", autouse=True)
-def machine_is_asked_once() -> Iterator[None]:
-    """Read the limits of the control group once, because each small table needs them several times."""
-    from imucal import resources
-
-    with mock.patch.object(resources, "control_group_limits", cache(resources.control_group_limits)):
         yield
 
 

@@ -13,6 +13,7 @@ from imucal.fitting import METHODS, fit
 from imucal.pipeline import Settings, characterize
 from imucal.readers import read
 from imucal.recording import AxisSeries, Sensor
+from tests.raising import raises
 
 N = 1500
 RATE = 100.0
@@ -67,16 +68,16 @@ def test_only_huge_values_have_no_result(tmp_path: Path) -> None:
 def test_far_too_small_values_are_refused(size: float, method: str) -> None:
     """Their fourth powers are zero in double precision."""
     series = axis(NOISE[:, 0] * size)
-    with pytest.raises(DataError, match="all samples are equal to 1e-30 rad/s, expected noise"):
+    with raises(DataError, "all samples are equal", place="gyro_x"):
         allan_curve(series)
-    with pytest.raises(DataError, match="all samples are equal to 1e-30 rad/s, expected noise"):
+    with raises(DataError, "all samples are equal", place="gyro_x"):
         fit(series, method=method)
 
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("step", [1.0, 1e-3, -0.25])
 def test_a_straight_line_is_a_counter(method: str, step: float) -> None:
-    with pytest.raises(DataError, match="on one straight line, expected noise; check that the column"):
+    with raises(DataError, "one straight line", place="gyro_x"):
         fit(axis(step * np.arange(N, dtype=np.float64)), method=method)
 
 
@@ -97,7 +98,7 @@ def test_texts_in_the_time_column_are_quoted(tmp_path: Path, columns: str | None
     first, *rows = path.read_text(encoding="utf-8").splitlines()
     lines = [row.replace(",", " sec,", 1) for row in rows]
     path.write_text("\n".join([first, *lines]), encoding="utf-8")
-    with pytest.raises(ChoiceError, match="'0 sec'"):
+    with raises(ChoiceError, "'0 sec'", place="log.csv"):
         read(path, columns=columns)
 
 

@@ -213,7 +213,7 @@ def test_a_plot_of_two_sensors_needs_two_axes() -> None:
     """Their units differ."""
     from matplotlib.figure import Figure
 
-    with pytest.raises(imucal.ImucalError, match="found 1 axes, expected 2, one for each sensor"):
+    with pytest.raises(imucal.ImucalError, match="found 1 axes"):
         imucal.plot(consumer_report(), ax=Figure().subplots())
 
 

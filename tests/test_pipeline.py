@@ -104,7 +104,7 @@ def test_a_constant_axis_is_rejected(n: int, monkeypatch: pytest.MonkeyPatch) ->
     recording = Recording(source=Source(path="log.csv", format="csv"), series=(still,))
     if n > 5000:
         monkeypatch.delattr("imucal.pipeline.allan_curve")
-    with pytest.raises(DataError, match=rf"gyro_x: all {n} samples are equal, expected noise; check that"):
+    with pytest.raises(DataError, match=f"gyro_x: all {n} samples are equal"):
         characterize(recording)
 
 

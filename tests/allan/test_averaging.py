@@ -42,7 +42,7 @@ def test_seconds_are_rounded_to_samples() -> None:
 @pytest.mark.parametrize("taus", ["", "octaves", "decade:", "decade:0", "decade:-3", "1,2"])
 def test_an_unknown_set_is_rejected(taus: str) -> None:
     """The error lists the valid sets."""
-    with pytest.raises(ValueError, match="expected 'octave', 'decade', 'decade:20', 'all' or a list"):
+    with pytest.raises(ValueError, match="expected 'octave'"):
         _factors(taus)
 
 

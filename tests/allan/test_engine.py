@@ -10,6 +10,7 @@ from imucal.clock import Clock, Segment
 from imucal.errors import DataError
 from imucal.recording import AxisSeries, Sensor
 from tests.allan.witness import naive_moav
+from tests.raising import raises
 
 SAMPLES = np.random.default_rng(0).standard_normal(1000) + 9.8
 SERIES = AxisSeries.from_samples(SAMPLES, rate_hz=200.0, sensor="accelerometer", axis="z")
@@ -108,19 +109,19 @@ def test_the_shortest_series_have_a_curve(n: int) -> None:
 
 
 def test_samples_without_finite_values_are_rejected() -> None:
-    with pytest.raises(DataError, match="0 neighbouring samples are too few"):
+    with raises(DataError, "0 neighbouring samples", place="gyro_x"):
         allan_curve(AxisSeries.from_samples(np.full(10, np.nan), rate_hz=1.0))
 
 
 def test_unknown_options_are_rejected() -> None:
-    with pytest.raises(ValueError, match="estimator 'total' is not known"):
+    with pytest.raises(ValueError, match="'total'"):
         allan_curve(SERIES, estimator="total")
-    with pytest.raises(ValueError, match="edf method 'none' is not known"):
+    with pytest.raises(ValueError, match="'none'"):
         allan_curve(SERIES, edf="none")
-    with pytest.raises(ValueError, match="averaging times 'log' are not understood"):
+    with pytest.raises(ValueError, match="'log'"):
         allan_curve(SERIES, taus="log")
     keep = np.arange(1000) != 500
-    with pytest.raises(ValueError, match="edf method 'none' is not known"):
+    with pytest.raises(ValueError, match="'none'"):
         allan_curve(SERIES.keeping(keep), edf="none")
 
 

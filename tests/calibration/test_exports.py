@@ -327,5 +327,5 @@ def test_python_writes_the_file(tmp_path: Path) -> None:
     assert file.read_text(encoding="utf-8") == render_calibration(Intrinsics.of(found), "kalibr")
     imucal.export(found, "openvins", tmp_path / "o.yaml", noise=consumer_report())
     assert "gyroscope_noise_density" in (tmp_path / "o.yaml").read_text(encoding="utf-8")
-    with pytest.raises(imucal.ImucalError, match="no calibration format 'rovio'; choose one of kalibr"):
+    with pytest.raises(imucal.ImucalError, match="'rovio'"):
         imucal.export(found, "rovio", tmp_path)

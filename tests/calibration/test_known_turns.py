@@ -128,7 +128,7 @@ def test_a_turn_that_was_stopped_early_is_not_used() -> None:
 def test_without_a_turn_in_place_the_angle_is_refused() -> None:
     rng = np.random.default_rng(8_960)
     truth = Truth.draw(rng)
-    with pytest.raises(DataError, match="no turn ends in the attitude in which it began"):
+    with pytest.raises(DataError, match="in which it began"):
         calibrate(log(truth, NOISE, FACES, rng).recording(), gravity=GRAVITY, turns="360deg")
 
 
@@ -170,5 +170,5 @@ def test_rates_of_zero_have_no_angle() -> None:
         tau0=0.01,
         known=np.full(1, np.nan),
     )
-    with pytest.raises(DataError, match=r"no turn by 360° was found: the turns in place have 0° at 5\.0 s"):
+    with pytest.raises(DataError, match=r"have 0° at 5\.0 s"):
         known_of(data, np.eye(3), known_angle("360deg"), said_si=False)

@@ -110,7 +110,7 @@ def test_a_parameter_that_the_log_does_not_determine_is_undecided(document: Docu
     row = judged(document, gyroscope).rows[0]
     assert (row.verdict, row.text) == ("fail", "gyro: the calibration has no gyroscope")
     document["accelerometer"]["parameters"]["scale_x"]["unit"] = "raw/(m/s^2)"
-    with pytest.raises(LimitsError, match=r"scale_x of the accelerometer is in raw counts; calibrate with"):
+    with pytest.raises(LimitsError, match="scale_x of the accelerometer is in raw counts"):
         judged(document, SCALE)
 
 
@@ -156,11 +156,9 @@ def test_wrong_limits_of_a_calibration_are_refused(text: str, message: str) -> N
 def test_limits_of_noise_are_refused_for_a_calibration(document: Document) -> None:
     """A file with both kinds of limits works for both."""
     noise = '[gyroscope]\nN = { max = 1, unit = "deg/sqrt(h)" }\n'
-    with pytest.raises(
-        LimitsError, match=r"poses.mcap: this is a calibration, and the limits are for noise;"
-    ):
+    with pytest.raises(LimitsError, match=r"poses.mcap: this is a calibration"):
         judged(document, noise)
-    with pytest.raises(LimitsError, match=r"this is a noise report, and the limits are for a calibration;"):
+    with pytest.raises(LimitsError, match="this is a noise report"):
         imucal.check(consumer_report(), SCALE)
     assert judged(document, noise + SCALE).count("pass") == 4
     assert imucal.check(consumer_report(), noise + SCALE).count("pass") == 4

@@ -156,10 +156,10 @@ def test_errors_contain_their_place(text: str, message: str) -> None:
 
 def test_an_unreadable_limits_file_is_an_error(tmp_path: Path) -> None:
     """Cases: a missing file, and a binary file."""
-    with pytest.raises(LimitsError, match=r"no\.toml: can't be read \(No such file or directory\); expected"):
+    with pytest.raises(LimitsError, match=r"no\.toml: .*No such file"):
         read_limits(tmp_path / "no.toml")
     (tmp_path / "b.toml").write_bytes(b"\xff\xfe")
-    with pytest.raises(LimitsError, match=r"b\.toml: can't be read \(it is not UTF-8 text\)"):
+    with pytest.raises(LimitsError, match=r"b\.toml: .*not UTF-8"):
         read_limits(tmp_path / "b.toml")
 
 
@@ -195,7 +195,7 @@ def test_names_of_data_sheets_are_accepted() -> None:
     assert limits.limits[0].unit == "deg/sqrt(h)"
     assert limits.baseline is not None
     assert limits.baseline.terms == ("N", "K")
-    with pytest.raises(LimitsError, match=r"limits: gyro_x\.N: N has limits twice, write one entry for both"):
+    with pytest.raises(LimitsError, match=r"gyro_x\.N: N has limits twice"):
         parse_limits("[gyro_x]\nARW = { max = 1 }\nN = { max = 1 }")
 
 

@@ -24,7 +24,6 @@ def _write(path: Path, seconds: int, *, carried_s: float = 0.0) -> None:
     np.savetxt(path, np.column_stack([t, values]), delimiter=",", header=header, comments="", fmt="%.9g")
 
 
-@pytest.mark.usefixtures("pictures")
 def test_a_folder_is_one_line_and_a_second_run_reports_the_replacement(tmp_path: Path) -> None:
     """Instead of a line a file."""
     _write(tmp_path / "log.csv", 40)
@@ -76,6 +75,7 @@ def test_a_log_of_seconds_is_good_for_n_only(tmp_path: Path) -> None:
     assert done.stdout.startswith("Good for N; too short for B and K: 2 of 2 axes are stationary noise")
 
 
+@pytest.mark.usefixtures("pictures_are_blank")
 def test_open_shows_the_page(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """In the browser, once it is written; not without a page, and not unless asked for."""
     shown: list[str] = []

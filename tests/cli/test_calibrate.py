@@ -20,6 +20,8 @@ from tests.calibration.simulated import FACES, GRAVITY, Log, Truth, attitudes, f
 from tests.cli.reports import write_report
 from tests.cli.run import run, run_process
 
+pytestmark = pytest.mark.usefixtures("pictures_are_blank")
+
 NOISE = NoiseModel.parse("N=2e-3 + B=5e-4"), NoiseModel.parse("N=1.5e-4 + B=2e-5")
 PLACE = ("--gravity", str(GRAVITY))
 

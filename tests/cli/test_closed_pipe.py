@@ -56,6 +56,7 @@ def test_an_error_whose_reader_is_gone_ends_with_141(tmp_path: Path, command: st
     assert codes_and_errors(*command.split(), cwd=tmp_path, both=True) == (141, "")
 
 
+@pytest.mark.usefixtures("pictures_are_blank")
 def test_a_check_has_its_own_code_if_its_output_is_read(tmp_path: Path) -> None:
     (tmp_path / "limits.toml").write_text("[log]\nrate = { min = 1 }\n", encoding="utf-8")
     run("fit", LOG, "-o", "report", "-q", cwd=tmp_path)

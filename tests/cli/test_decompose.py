@@ -12,6 +12,8 @@ from imucal.arrays import FloatArray
 from tests.cli.run import SAMPLE_LOGS, run
 from tests.cli.test_not_noise import moved, write
 
+pytestmark = pytest.mark.usefixtures("pictures_are_blank")
+
 LOG = "still.csv"
 MODEL = ("--model", "N + K")
 

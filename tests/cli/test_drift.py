@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import numpy.testing as npt
-import pytest
 from PIL import Image
 
 import imucal
@@ -89,7 +88,6 @@ def test_numbers_are_those_of_drawn_coasts() -> None:
         npt.assert_allclose(rms, told[name], rtol=0.03)
 
 
-@pytest.mark.usefixtures("pictures")
 def test_a_log_is_characterised_first_and_drawn(tmp_path: Path) -> None:
     """The picture is complete, and standard output contains only the table."""
     (tmp_path / "log.csv").write_bytes(one_axis())

@@ -96,6 +96,7 @@ def test_json_is_exact_and_steers_nothing(logs: Path) -> None:
     assert json.loads(done.stdout)["source"]["topics"] == [f"/imu{EVIL}"]
 
 
+@pytest.mark.usefixtures("pictures_are_blank")
 def test_a_report_shows_escapes(logs: Path) -> None:
     """The page, the pictures and the config files contain escapes instead of control characters."""
     quick = ("--model", "N", "--format", "svg")

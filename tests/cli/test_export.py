@@ -118,7 +118,7 @@ def test_a_report_without_an_accelerometer_gives_its_half(tmp_path: Path) -> Non
     name = write_report(tmp_path, report=small_report())
     done = run("export", name, "--to", "kalibr", cwd=tmp_path)
     assert done.returncode == 0
-    assert "the report has no accelerometer; the files omit its numbers" in done.stderr
+    assert "the report has no accelerometer" in done.stderr
     data = yaml.safe_load((tmp_path / "kalibr_imu.yaml").read_text())
     assert {key for key in data if "noise" in key} == {"gyroscope_noise_density"}
 

@@ -108,6 +108,7 @@ def test_a_folder_that_can_not_be_written_is_refused_before_the_fit(tmp_path: Pa
         assert done.stderr.startswith(f"Error: {folder}: ")
 
 
+@pytest.mark.usefixtures("pictures_are_blank")
 def test_hints_can_be_typed(tmp_path: Path) -> None:
     """Paths with blanks, or like options, are quoted."""
     (tmp_path / "log.csv").write_bytes(one_axis())

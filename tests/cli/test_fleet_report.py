@@ -10,6 +10,8 @@ import imucal
 from tests.cli.run import run
 from tests.fleet_report.simulated_store import TERMS, write_store
 
+pytestmark = pytest.mark.usefixtures("pictures_are_blank")
+
 #: The axes of all logs.
 NAMES = ("gyro_x", "accel_z")
 

@@ -139,6 +139,7 @@ def test_a_pipe_by_name_is_refused_instead_of_waited_for(tmp_path: Path) -> None
     )  # fmt: skip
 
 
+@pytest.mark.usefixtures("pictures_are_blank")
 def test_a_name_that_is_no_text_is_read_and_reported(tmp_path: Path) -> None:
     """Linux allows any bytes; the report holds them escaped."""
     (tmp_path / "one.csv").write_bytes(one_axis())

@@ -39,6 +39,7 @@ def test_the_report_holds_one_axis(bench: Path) -> None:
     assert (bench / "report" / "gyro_z.png").exists()
 
 
+@pytest.mark.usefixtures("pictures_are_blank")
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

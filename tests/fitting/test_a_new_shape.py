@@ -14,6 +14,8 @@ from imucal.noise.term import Description, NoiseTerm, Stroke
 from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.recording import AxisSeries
 
+pytestmark = pytest.mark.usefixtures("new_terms")
+
 RATE_HZ = 100.0
 
 
@@ -73,8 +75,8 @@ class Smoothed(NoiseTerm):
         return np.asarray(self.value * (drawn[1:] + drawn[:-1]) / 2)
 
 
-@pytest.fixture(autouse=True)
-def _added(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def new_terms(monkeypatch: pytest.MonkeyPatch) -> None:
     """Add the terms to the table of terms."""
     for term in (SquaredExponential, Smoothed):
         monkeypatch.setitem(TERMS, term.symbol, term)

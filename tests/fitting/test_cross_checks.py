@@ -20,6 +20,7 @@ from imucal.noise.model import NoiseModel
 from imucal.pipeline import characterize
 from imucal.recording import AxisSeries, Recording, Source
 from tests.fitting.moments.curves import simulated_curve
+from tests.raising import raises
 from tests.slow_cases import first_by_default
 
 
@@ -204,7 +205,7 @@ def test_a_curve_dominated_by_lines_has_no_second_opinion() -> None:
     series = AxisSeries.from_samples(np.random.default_rng(39).standard_normal(3000), rate_hz=10.0)
     first = fit_mle(series, allan_curve(series), FitSettings())
     drowned = replace(first, noise_share=np.where(first.curve.m < 4, 1.0, 0.1))
-    with pytest.raises(DataError, match="found 2 averaging times that show the noise, expected at least 4"):
+    with raises(DataError, "found 2 averaging times", place="gyro_x"):
         fit_of_curve(series, drowned)
 
 
@@ -213,6 +214,6 @@ def test_an_impossible_covariance_raises_a_data_error() -> None:
     for broken in (-1.0, np.nan):
         with pytest.raises(
             DataError,
-            match="no noise has this covariance of the Allan variances; expected noise, look at the samples",
+            match="no noise has this covariance",
         ):
             whitening(np.diag([1.0, broken]))

@@ -1,8 +1,8 @@
 """Tests of the decomposition: agreement with dense conditioning, invariances, and coverage of the errors."""
 
 import re
-import time
 from collections.abc import Iterator
+from unittest import mock
 
 import numpy as np
 import numpy.testing as npt
@@ -14,6 +14,7 @@ from imucal.fitting import wiener
 from imucal.fitting.wiener import Component, smooth
 from imucal.recording import AxisSeries
 from tests.fitting.state_space import StateSpace
+from tests.raising import raises
 
 N = 300
 #: Models whose terms are exactly, and approximately, independent at each ordinate.
@@ -250,17 +251,18 @@ def test_a_fit_is_decomposed_by_its_model() -> None:
 
 
 def test_the_cost_is_proportional_to_the_number_of_samples() -> None:
-    """Ten times the samples take at most 20 times as long (CPU, best of two)."""
-    seconds = []
-    for n in (20_000, 200_000):
-        runs = []
-        for _ in range(2):
-            samples = np.random.default_rng(49).standard_normal(n)
-            series, begin = AxisSeries.from_samples(samples, rate_hz=1.0), time.process_time()
-            decompose(series, NoiseModel.parse("N=1 + K=1e-3"))
-            runs.append(time.process_time() - begin)
-        seconds.append(min(runs))
-    assert seconds[1] < 20 * seconds[0]
+    """The number of transforms does not depend on the number of samples; each one reports its end."""
+    counts = []
+    for n in (2_000, 20_000):
+        samples = np.random.default_rng(49).standard_normal(n)
+        progress = mock.Mock()
+        decompose(
+            AxisSeries.from_samples(samples, rate_hz=1.0),
+            NoiseModel.parse("N=1 + K=1e-3"),
+            progress=progress,
+        )
+        counts.append(progress.call_count)
+    assert counts[0] == counts[1]
 
 
 def test_progress_is_reported_up_to_the_end() -> None:
@@ -283,14 +285,14 @@ def test_a_fit_of_another_rate_is_rejected() -> None:
 @pytest.mark.parametrize("model", ["N=0", "N=0 + R=0", "N=0 + R=1"])
 def test_a_model_without_noise_is_rejected(model: str) -> None:
     series = AxisSeries.from_samples(np.arange(9.0), rate_hz=1.0)
-    with pytest.raises(DataError, match="gyro_x: the model has no noise, so there is nothing to separate"):
+    with raises(DataError, "no noise", place="gyro_x"):
         decompose(series, NoiseModel.parse(model))
 
 
 def test_a_nearly_empty_record_is_rejected() -> None:
     """It has fewer than two samples, or more than 20 times as many missing samples."""
     model = NoiseModel.parse("N=1")
-    with pytest.raises(DataError, match=r"^gyro_x: a decomposition needs at least 2 samples, got 1$"):
+    with raises(DataError, "at least 2 samples, got 1", place="gyro_x"):
         decompose(AxisSeries.from_samples(np.array([1.0, np.nan]), rate_hz=1.0), model)
     keep = np.zeros(1000, dtype=bool)
     keep[[0, 1, 999]] = True

@@ -1,7 +1,5 @@
 """Tests of the exact likelihood: agreement with the dense Gaussian density, gaps and the optimum."""
 
-import time
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -14,7 +12,7 @@ from imucal.noise.terms import GaussMarkov, RateRamp
 from imucal.powerlaw import odd_harmonic
 from imucal.recording import AxisSeries
 from tests.fitting import state_space as module
-from tests.fitting.state_space import fit_exact
+from tests.fitting.state_space import BlockLaw, Blocks, StateSpace, filtered, fit_exact
 
 N = 300
 
@@ -145,19 +143,18 @@ def test_the_fit_is_a_maximum_of_the_likelihood() -> None:
 
 
 def test_the_cost_is_proportional_to_the_number_of_samples() -> None:
-    """Ten times the samples take at most 20 times as long (CPU, best of three)."""
+    """The filter takes one step for each block, and the matrices of a step do not depend on the record."""
     model = NoiseModel.parse("N=1 + K=1e-3")
-    seconds = []
-    for n in (50_000, 500_000):
+    counts, shapes = [], set()
+    for n in (5_120, 51_200):
         samples = model.simulate(n, rate_hz=1.0, rng=np.random.default_rng(22))
-        series = AxisSeries.from_samples(samples, rate_hz=1.0)
-        runs = []
-        for _ in range(3):
-            begin = time.process_time()
-            log_likelihood(model, series)
-            runs.append(time.process_time() - begin)
-        seconds.append(min(runs))
-    assert seconds[1] < 20 * seconds[0]
+        states = StateSpace.of(model, rate_hz=1.0, n=n)
+        blocks = Blocks.of(samples, np.ones(n, dtype=bool))
+        steps = list(filtered(states, blocks, BlockLaw.of(states, blocks.length, 1 / blocks.count)))
+        counts.append(len(steps))
+        shapes |= {step.covariance.shape for step in steps}
+    assert counts == [20, 200]
+    assert len(shapes) == 1
 
 
 def test_a_single_sample_is_rejected() -> None:

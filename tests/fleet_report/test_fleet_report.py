@@ -44,6 +44,7 @@ from imucal.fleet_report.summary import FleetTerm, labels_to_type
 from imucal.recording import Sensor
 from imucal.report.numbers import Quantity
 from tests.fleet_report.simulated_store import TERMS, write_store
+from tests.raising import raises
 from tests.report.browser import Browser
 
 SCHEMA = json.loads(
@@ -224,11 +225,11 @@ def test_two_units_have_neither_spread_nor_bound(tmp_path: Path) -> None:
     text = page.text_content()
     assert "a spread between units and a bound need at least 3 units" in text
     assert "no bound" in page.cssselect("table.config")[0].text_content()
-    with pytest.raises(DataError, match="found 2 units, expected at least 3 for a tolerance bound"):
+    with pytest.raises(DataError, match=r"2 units, .* a tolerance bound"):
         imucal.fleet_as_report(fleet)
     assert imucal.fleet_as_report(fleet, value="median").axes[0].fit["N"].value == found.median.value
     report = imucal.fleet_as_report(fleet, value="median")
-    with pytest.raises(DataError, match="found 2 units of ACME-6, expected at least 3 to predict"):
+    with pytest.raises(DataError, match=r"2 units of ACME-6, .* to predict"):
         imucal.check_fleet(report, fleet)
 
 
@@ -246,7 +247,7 @@ def test_logs_without_a_unit_are_listed_with_the_labels_to_type(tmp_path: Path) 
     section = page.get_element_by_id("loose")
     assert "--labels '{unit}.mcap'" in section.text_content()
     assert len(section.cssselect("tbody tr")) == 12
-    with pytest.raises(ChoiceError, match="no log has a unit label"):
+    with raises(ChoiceError, "no log has a unit label", place="loose", argument="model"):
         fleet.model()
 
 
@@ -265,7 +266,7 @@ def test_suggested_labels_use_the_differing_part_of_the_path(paths: list[str], t
 
 
 def test_folders_without_finished_logs_are_rejected(tmp_path: Path) -> None:
-    with pytest.raises(ReadError, match="expected the folder of a fleet, written by imucal fleet run"):
+    with pytest.raises(ReadError, match=r"manifest\.parquet: no such file"):
         imucal.load_fleet(tmp_path)
     store = FleetStore(tmp_path / "empty")
     store.create()
@@ -343,7 +344,7 @@ def test_gauss_markov_terms_are_exported_with_the_time_of_the_median_log(tmp_pat
 def test_a_model_is_selected_by_name(fleet: Fleet) -> None:
     """The error for an unknown name lists the models."""
     assert fleet.model("ACME-6") is fleet.model()
-    with pytest.raises(ChoiceError, match="found 'BOLT-9', expected one of the sensor models: 'ACME-6'"):
+    with raises(ChoiceError, "'BOLT-9'", place="fleet", argument="model"):
         imucal.fleet_as_report(fleet, "BOLT-9")
 
 

@@ -68,5 +68,5 @@ def test_an_error_contains_its_line_and_the_expected_value(tmp_path: Path, text:
 def test_a_binary_manifest_is_rejected(tmp_path: Path) -> None:
     file = tmp_path / "m.csv"
     file.write_bytes(b"PAR1\xff\xfe")
-    with pytest.raises(ManifestError, match=r"m\.csv: can't be read \(.*; expected a CSV table"):
+    with pytest.raises(ManifestError, match=r"m\.csv: can't be read"):
         read_manifest(file)

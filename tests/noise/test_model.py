@@ -88,7 +88,7 @@ def test_invalid_models_are_rejected(text: str, found: str) -> None:
 @pytest.mark.parametrize("text", ["N=1 + N=2", "K=1 + N=1 + K=1"])
 def test_a_repeated_term_is_rejected(text: str) -> None:
     """Only Gauss-Markov terms differ by more than a coefficient, so only they may be repeated."""
-    with pytest.raises(ValueError, match=f"appears more than once; only {REPEATABLE} may"):
+    with pytest.raises(ValueError, match="appears more than once"):
         NoiseModel.parse(text)
 
 
@@ -108,7 +108,7 @@ def test_an_unknown_structure_is_rejected(text: str) -> None:
 
 
 def test_a_repeated_structure_is_rejected() -> None:
-    with pytest.raises(ValueError, match=f"N appears more than once; only {REPEATABLE} may"):
+    with pytest.raises(ValueError, match="N appears more than once"):
         parse_structure("2*N")
 
 

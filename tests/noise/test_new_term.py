@@ -27,6 +27,8 @@ from imucal.report.page_parts import glossary_section
 from tests.noise.contract import missing
 from tests.report.synthetic import consumer_report
 
+pytestmark = pytest.mark.usefixtures("new_terms")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sinusoid(NoiseTerm):
@@ -93,8 +95,8 @@ class SecondOrder(NoiseTerm):
 NEW = {"S": "S(amplitude=0.5, period=4.0)", "SGM": "SGM(sigma=0.3, T=0.5)"}
 
 
-@pytest.fixture(autouse=True)
-def _added(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def new_terms(monkeypatch: pytest.MonkeyPatch) -> None:
     """Add the terms to the table."""
     for term in (Sinusoid, SecondOrder):
         monkeypatch.setitem(TERMS, term.symbol, term)

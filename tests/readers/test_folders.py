@@ -9,6 +9,7 @@ from imucal.errors import ReadError
 from imucal.readers import describe, read
 from imucal.readers.containers.rosbag2_folder import natural, parse_metadata
 from imucal.recording import Recording
+from tests.raising import raises
 from tests.readers.logs import TOPIC, Samples, imu_messages, samples, write_bag, write_db3, write_mcap
 
 TRUTH = samples(400)
@@ -197,7 +198,7 @@ def test_a_single_zstd_file_of_a_bag_is_read(mcap: bool, tmp_path: Path) -> None
     data = path.read_bytes()
     path.write_bytes(data[: len(data) * 3 // 4])
     if not mcap:
-        with pytest.raises(ReadError, match=r"bag\.db3\.zstd: .*: it has \d+ of \d+ bytes; .* copy it again"):
+        with raises(ReadError, r"has \d+ of \d+ bytes", place="bag.db3.zstd"):
             read(path)
         return
     recording = read(path)

@@ -17,6 +17,7 @@ from imucal.readers.tables.npz import npz_arrays
 from imucal.readers.tables.passed import Notes
 from imucal.readers.tables.text_source import TextSource, open_text
 from tests.cli.run import run
+from tests.raising import raises
 from tests.readers.logs import samples
 
 TRUTH = samples(3000, seed=77)
@@ -95,7 +96,7 @@ def test_a_member_with_a_huge_declared_size_is_refused(tmp_path: Path) -> None:
         header = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }"
         head = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode()
         archive.writestr("gx.npy", head + bytes(80))
-    with pytest.raises(ReadError, match=r"gx\.npy declares 8000000000000 bytes and contains 80"):
+    with raises(ReadError, "8000000000000 bytes and contains 80", place="log.npz"):
         read(path)
 
 
@@ -107,7 +108,7 @@ def test_info_reads_no_samples_of_a_highly_compressed_log(
     assert "no gaps" in run("info", "log.npz", cwd=tmp_path).stdout
     monkeypatch.setattr("imucal.cli.info._SMALL", 150_000)
     done = run("info", "log.npz", cwd=tmp_path)
-    assert "Gaps were not checked in a large log; --gaps reads all samples." in done.stdout
+    assert "Gaps were not checked" in done.stdout
     assert "no gaps" in run("info", "--gaps", "log.npz", cwd=tmp_path).stdout
     listed = json.loads(run("info", "--json", "log.npz", cwd=tmp_path).stdout)
     assert listed["logs"][0]["unpacked_bytes"] == 8 * 7 * 3000
@@ -135,7 +136,7 @@ def test_a_file_that_unpacks_to_more_than_memory_is_refused(
     monkeypatch.setenv("IMUCAL_MEMORY", "1M")
     monkeypatch.setattr(isolation, "_OVERHEAD", -(1 << 20))
     for action in (read, describe):
-        with pytest.raises(ReadError, match=f"not a readable {kind} file: "):
+        with raises(ReadError, f"not a readable {kind} file: ", place=name):
             action(path)
     monkeypatch.undo()
     pl.DataFrame(arrays()).write_parquet(tmp_path / "small.parquet")
@@ -162,5 +163,5 @@ def test_large_arrays_of_an_npz_file_are_in_temporary_files(
     data = bytearray((tmp_path / "log.npz").read_bytes())
     data[len(data) // 2] ^= 1
     (tmp_path / "log.npz").write_bytes(data)
-    with pytest.raises(ReadError, match="not a readable NPZ file: "):
+    with raises(ReadError, "not a readable NPZ file", place="log.npz"):
         read(tmp_path / "log.npz")

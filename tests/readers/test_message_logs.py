@@ -146,7 +146,7 @@ def test_a_log_of_too_many_topics_is_refused(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(message_logs, "_MAX_TOPICS", n)
     describe(path)
     monkeypatch.setattr(message_logs, "_MAX_TOPICS", n - 1)
-    with pytest.raises(ReadError, match=f"it contains {n} topics; expected at most {n - 1}; copy those of"):
+    with pytest.raises(ReadError, match=f"{n} topics; expected at most {n - 1}"):
         describe(path)
 
 
@@ -166,7 +166,7 @@ def test_fewer_messages_than_the_log_counts_are_damage(
     finding = next(finding for finding in read(path).findings if finding.code == "damaged")
     assert finding.level == "warning"
     assert finding.text == f"The log counts 21 messages of topic {TOPIC}, and 1 of them were not found."
-    with pytest.raises(ReadError, match="the log is damaged, and strict reading was requested"):
+    with pytest.raises(ReadError, match="the log is damaged, and strict reading"):
         read(path, strict=True)
 
 
@@ -177,5 +177,5 @@ def test_a_compressed_message_of_more_than_a_megabyte_is_damage(tmp_path: Path) 
         packed = zstandard.ZstdCompressor().compress(bytes(size))
         with closing(sqlite3.connect(path)) as base, base:
             base.execute("update messages set data = ?", (packed,))
-        with pytest.raises(ReadError, match=f"declares {size}; expected at most 1048576"):
+        with pytest.raises(ReadError, match=f"declares {size}"):
             read(path)

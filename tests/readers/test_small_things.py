@@ -24,7 +24,7 @@ SI = "gx (rad/s),gy (rad/s),gz (rad/s),ax (m/s^2),ay (m/s^2),az (m/s^2)"
 @pytest.mark.parametrize("action", [read, describe])
 def test_a_file_name_that_is_too_long_is_refused(action: object, tmp_path: Path) -> None:
     path = tmp_path / ("a" * 300 + ".csv")
-    with pytest.raises(ReadError, match="can't be opened: File name too long"):
+    with pytest.raises(ReadError, match="File name too long"):
         action(path)  # type: ignore[operator]
 
 

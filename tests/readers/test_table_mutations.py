@@ -1,10 +1,9 @@
 """Damaged typed tables and ULogs are read or refused with a message.
 
 NPY and MAT have no checksums, so a changed value is read as it is. The test checks that reading raises no
-foreign exception, prints nothing and ends.
+foreign exception and prints nothing. A parser that does not end is stopped by the time limit of `isolation`.
 """
 
-import time
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -26,8 +25,6 @@ from tests.slow_cases import first_by_default
 
 #: Cases of each format for each change, in parts; 1024 in total.
 CASES, PARTS = 16, 4
-#: Time limit of a case in s; a usual case takes 10 ms, the first one of a child process one second.
-PATIENCE = 20.0
 
 N = 60
 
@@ -92,7 +89,7 @@ def test_a_damaged_table_is_read_or_refused_with_a_message(
     *,
     part: int,
 ) -> None:
-    """The error names the file, nothing is printed, and reading ends."""
+    """The error names the file, and nothing is printed."""
     undamaged = tmp_path / name
     FORMATS[name](undamaged)
     original = undamaged.read_bytes()
@@ -104,13 +101,11 @@ def test_a_damaged_table_is_read_or_refused_with_a_message(
         change(data, rng)
         path = tmp_path / f"{case}-{name}"
         path.write_bytes(data)
-        start = time.perf_counter()
         for action in (lambda path: read(path, **options), describe):
             try:
                 action(path)
             except ImucalError as error:
                 assert str(error).startswith(str(path))  # noqa: PT017 - the message is the point
-        assert time.perf_counter() - start < PATIENCE
         path.unlink()
     assert capfd.readouterr() == ("", "")
 

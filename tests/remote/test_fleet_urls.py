@@ -14,7 +14,7 @@ from tests.remote.web_server import WebServer
 
 HOW = (*OPTIONS, "--model", "N", "--shard", "1/1")
 LABELS = ("--labels", "{model}/{unit}/*.csv")
-pytestmark = pytest.mark.usefixtures("logs_are_done_here", "pictures_are_blank")
+pytestmark = pytest.mark.usefixtures("logs_are_done_here", "pictures_are_blank", "cache", "no_waits")
 
 
 @pytest.mark.slow

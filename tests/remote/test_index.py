@@ -17,6 +17,8 @@ from imucal.simulation import write_log
 from tests.cli.run import SAMPLE_LOGS
 from tests.remote.web_server import WebServer
 
+pytestmark = pytest.mark.usefixtures("cache", "no_waits")
+
 
 @pytest.mark.parametrize("name", ["consumer_mems.mcap", "tactical.bag"])
 def test_the_index_gives_the_same_description(web: WebServer, name: str) -> None:

@@ -20,8 +20,11 @@ from imucal.remote.copies import fetched
 from imucal.remote.stores import _MESSAGES, _TABLES, expand, identify
 from imucal.simulation import write_log
 from tests.cli.run import SAMPLE_LOGS, run
+from tests.raising import raises
 from tests.remote.one_axis import OPTIONS, one_axis
 from tests.remote.web_server import WebServer
+
+pytestmark = pytest.mark.usefixtures("cache", "no_waits")
 
 ROOT = Path(__file__).parents[2]
 
@@ -85,7 +88,9 @@ def test_parts_of_one_recording_are_joined(bucket: Any, tmp_path: Path) -> None:
         npt.assert_array_equal(joined.series[0].samples, recording.between(0, 120).series[0].samples)
         assert joined.source.path == "s3://logs/split/a_9.mcap, s3://logs/split/a_10.mcap"
     bucket.copy("logs/split/a_9.mcap", "logs/split/b_9.mcap")
-    with pytest.raises(imucal.ReadError, match=r"^s3://logs/split/a_9\.mcap: 3 logs do not look like one"):
+    with raises(
+        imucal.ReadError, "3 logs do not look like one", place="s3://logs/split/a_9.mcap", argument="join"
+    ):
         imucal.read("s3://logs/split")
 
 
@@ -93,7 +98,7 @@ def test_a_name_may_contain_wildcard_characters(bucket: Any) -> None:  # noqa: A
     """A pattern without matches is used as a name."""
     bucket.pipe_file("logs/run[1].csv", b"t,gx\n")
     assert expand("s3://logs/run[1].csv") == ["s3://logs/run[1].csv"]
-    with pytest.raises(imucal.ReadError, match=r"s3://logs/run\[2\]\.csv: no log has this name"):
+    with raises(imucal.ReadError, "no log has this name", place="s3://logs/run[2].csv"):
         expand("s3://logs/run[2].csv")
 
 
@@ -142,16 +147,12 @@ def test_denied_access_and_unreachable_servers_are_reported(
     """A request with status 403 is not repeated; one without an answer is."""
     monkeypatch.setenv("AWS_ENDPOINT_URL", web.url)
     bucket.clear_instance_cache()
-    with pytest.raises(
-        imucal.ReadError, match=r"s3://logs/a\.csv: access is denied \(403\) to these credentials; "
-    ):
+    with raises(imucal.ReadError, r"access is denied \(403\)", place="s3://logs/a.csv"):
         imucal.read("s3://logs/a.csv")
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:1")
     bucket.clear_instance_cache()
     monkeypatch.setattr(addresses, "WAITS", (0.0,))
-    with pytest.raises(
-        imucal.ReadError, match=r"s3://logs/a\.csv: the connection failed: .* \(2 attempts\); try"
-    ):
+    with raises(imucal.ReadError, r"\(2 attempts\)", place="s3://logs/a.csv"):
         imucal.read("s3://logs/a.csv")
     bucket.clear_instance_cache()
 

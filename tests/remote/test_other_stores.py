@@ -8,6 +8,8 @@ from imucal.remote.stores import expand, identify
 from tests.remote.cloud_servers import cloud_server
 from tests.remote.one_axis import one_axis
 
+pytestmark = pytest.mark.usefixtures("cache", "no_waits")
+
 
 @pytest.mark.parametrize(("scheme", "package"), [("gs", "gcsfs"), ("az", "adlfs"), ("abfs", "adlfs")])
 def test_a_log_in_google_or_azure_is_read(scheme: str, package: str, monkeypatch: pytest.MonkeyPatch) -> None:

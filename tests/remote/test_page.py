@@ -21,6 +21,8 @@ from tests.remote.one_axis import one_axis
 from tests.remote.web_server import WebServer
 from tests.test_docs_pages import contains, texts
 
+pytestmark = pytest.mark.usefixtures("cache", "no_waits")
+
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "remote-logs.md"
 

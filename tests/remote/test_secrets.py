@@ -14,6 +14,8 @@ from tests.cli.run import run
 from tests.remote.one_axis import OPTIONS, one_axis
 from tests.remote.web_server import WebServer
 
+pytestmark = pytest.mark.usefixtures("cache", "no_waits")
+
 SECRET = "X-Amz-Signature=0815SECRET"  # noqa: S105 - of nothing
 
 

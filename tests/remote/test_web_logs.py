@@ -13,7 +13,10 @@ from imucal.readers import describe
 from imucal.remote.copies import fetched
 from imucal.remote.stores import expand, identify
 from tests.cli.run import SAMPLE_LOGS
+from tests.raising import raises
 from tests.remote.web_server import WebServer
+
+pytestmark = pytest.mark.usefixtures("cache", "no_waits")
 
 TABLE = b"t,gx,gy,gz,ax,ay,az\n" + b"".join(
     f"{i / 100:.2f},{i % 7 * 1e-4},{i % 5 * 1e-4},{i % 3 * 1e-4},0.{i % 11},0.{i % 13},9.8{i % 9}\n".encode()
@@ -100,12 +103,7 @@ def test_without_ranges_a_broken_download_restarts(web: WebServer) -> None:
 def test_too_many_broken_connections_are_an_error(web: WebServer, cache: Path) -> None:
     """The limit is four attempts without progress; no incomplete file is left."""
     url = web.add("/log.csv", TABLE, cuts=[1000, 0, 0, 0, 0])
-    with pytest.raises(
-        imucal.ReadError,
-        match=re.escape(
-            f"{url}: the connection ended after 1000 of {len(TABLE)} bytes (4 attempts); try again later"
-        ),
-    ):
+    with raises(imucal.ReadError, r"after 1000 of \d+ bytes \(4 attempts\)", place=url):
         imucal.read(f"{url}?sig=SECRET")
     assert list(cache.rglob("*.csv")) == []
     assert [path.suffix for path in cache.iterdir()] == []
@@ -149,9 +147,7 @@ def test_an_object_that_changes_during_download_is_downloaded_again(web: WebServ
         assert copy.log.etag == '"two"'
     log = identify(web.add("/log.csv", TABLE, cuts=Changing([20_000])))
     with (
-        pytest.raises(
-            imucal.ReadError, match=r"log\.csv: it has changed since the first look; run the command again"
-        ),
+        raises(imucal.ReadError, "has changed since the first look", place="log.csv"),
         fetched(log),
     ):
         pass
@@ -180,7 +176,7 @@ def test_requests_to_busy_servers_are_repeated(web: WebServer) -> None:
 def test_refused_requests_are_not_repeated(web: WebServer, code: int, message: str) -> None:
     """The error does not contain the query."""
     url = web.add("/log.csv", TABLE, statuses=[code])
-    with pytest.raises(imucal.ReadError, match=f"^{re.escape(f'{url}: {message}')}"):
+    with raises(imucal.ReadError, re.escape(message), place=url):
         imucal.read(f"{url}?sig=SECRET")
     assert len(web.asked) == 1
 
@@ -191,12 +187,10 @@ def test_a_server_without_an_answer_is_an_error_after_the_timeout(
     """The timeout is IMUCAL_REMOTE_TIMEOUT."""
     url = web.add("/log.csv", TABLE, delay_s=0.5)
     monkeypatch.setenv("IMUCAL_REMOTE_TIMEOUT", "0.05")
-    with pytest.raises(imucal.ReadError, match=r"log\.csv: no answer within 0\.05 s \(4 attempts\)"):
+    with raises(imucal.ReadError, r"within 0\.05 s \(4 attempts\)", place="log.csv"):
         imucal.read(url)
     monkeypatch.setenv("IMUCAL_REMOTE_TIMEOUT", "soon")
-    with pytest.raises(
-        imucal.ImucalError, match="IMUCAL_REMOTE_TIMEOUT: found 'soon', expected seconds"
-    ) as error:
+    with pytest.raises(imucal.ImucalError, match="IMUCAL_REMOTE_TIMEOUT: found 'soon'") as error:
         imucal.read(url)
     assert error.value.exit_code == 2
 
@@ -204,16 +198,14 @@ def test_a_server_without_an_answer_is_an_error_after_the_timeout(
 def test_an_unreachable_server_is_an_error(web: WebServer, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cases: a closed port, and an unknown host."""
     url = web.url
-    with pytest.raises(
-        imucal.ReadError, match=r"http://127\.0\.0\.1:1/log\.csv: the connection failed: .*refused"
-    ):
+    with raises(imucal.ReadError, "refused", place="http://127.0.0.1:1/log.csv"):
         imucal.read("http://127.0.0.1:1/log.csv")
 
     def unknown(*_: object, **__: object) -> None:
         raise socket.gaierror(-2, "Name or service not known")
 
     monkeypatch.setattr(socket, "getaddrinfo", unknown)
-    with pytest.raises(imucal.ReadError, match=r"http://host/log\.csv: host not found: no network"):
+    with raises(imucal.ReadError, "host not found: no network", place="http://host/log.csv"):
         imucal.read("http://host/log.csv?sig=SECRET")
     assert url
 
@@ -233,7 +225,7 @@ def test_a_web_page_instead_of_a_log_is_refused(web: WebServer, cache: Path, sta
 def test_an_empty_remote_file_is_refused(web: WebServer) -> None:
     """The error equals that for a local file, although servers refuse a range of an empty file."""
     url = web.add("/log.csv", b"")
-    with pytest.raises(imucal.ReadError, match=r"log\.csv: the file is empty; expected a log"):
+    with raises(imucal.ReadError, "the file is empty", place="log.csv"):
         imucal.read(url)
 
 
@@ -275,7 +267,7 @@ def test_credentials_come_from_the_url_or_netrc(web: WebServer, tmp_path: Path) 
     host = web.url.removeprefix("http://")
     source = imucal.read(f"http://me:a%40b@{host}/log.csv", **OPTIONS, checksums=True).source
     assert source.path == source.files[0].path == f"http://{host}/log.csv"
-    with pytest.raises(imucal.ReadError, match=r"access is denied \(401\)"):
+    with raises(imucal.ReadError, r"\(401\)", place="log.csv"):
         imucal.read(f"{web.url}/log.csv")
     (tmp_path / ".netrc").write_text("machine 127.0.0.1 login me password a@b\n", encoding="utf-8")
     (tmp_path / ".netrc").chmod(0o600)
@@ -313,9 +305,7 @@ def test_unsupported_schemes_are_refused(url: str, message: str) -> None:
 
 def test_a_url_as_a_path_object_is_refused() -> None:
     """A Path removes one of the two slashes."""
-    with pytest.raises(
-        imucal.ReadError, match=r"^https://host/log\.csv: a URL that was a Path; expected https://"
-    ):
+    with raises(imucal.ReadError, "a URL that was a Path", place="https://host/log.csv"):
         imucal.read(Path("https://host/log.csv?sig=SECRET"))
 
 
@@ -328,12 +318,12 @@ def test_wildcards_of_a_web_server_use_its_folder_listing(web: WebServer) -> Non
     web.add("/logs/", PAGE, kind="text/html")
     assert expand(f"{web.url}/logs/a_*.csv") == [f"{web.url}/logs/a_10.csv", f"{web.url}/logs/a_2.csv?sig=1"]
     assert expand(f"{web.url}/logs/") == [f"{web.url}/logs/"]
-    with pytest.raises(imucal.ReadError, match=r"logs/b\*\.csv: no log has this name"):
+    with raises(imucal.ReadError, "no log has this name", place="logs/b*.csv"):
         expand(f"{web.url}/logs/b*.csv")
-    with pytest.raises(imucal.ReadError, match=r"may have \* in its last part only"):
+    with raises(imucal.ReadError, r"\* in its last part only", place="/*/a.csv"):
         expand(f"{web.url}/*/a.csv")
     web.add("/none/", b"<a href='notes.md'>c</a>")
-    with pytest.raises(imucal.ReadError, match=r"none/: a folder with notes\.md; expected logs, such as"):
+    with raises(imucal.ReadError, r"a folder with notes\.md", place="none/"):
         imucal.read(f"{web.url}/none/")
 
 
@@ -343,7 +333,7 @@ def test_a_file_of_unknown_length_stops_at_the_size_of_the_cache(
     """A server could send bytes until the disk is full."""
     url = web.add("/log.csv", TABLE, length=False, ranges=False)
     monkeypatch.setenv("IMUCAL_CACHE_SIZE", "10k")
-    with pytest.raises(imucal.ReadError, match=r"it is larger than the cache, 1\.02e-05 GB; its server does"):
+    with raises(imucal.ReadError, r"the cache, 1\.02e-05 GB", place="log.csv"):
         imucal.read(url, **OPTIONS)
     assert kept(cache) == []
 

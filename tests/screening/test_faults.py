@@ -18,6 +18,8 @@ from imucal.screening import screen_values
 from imucal.units import G0
 from tests.screening.still import recording, still
 
+pytestmark = pytest.mark.usefixtures("axes_are_screened_once")
+
 N = 20_000
 T = np.arange(N) / 100.0
 Tables = tuple[FloatArray, FloatArray]
@@ -26,7 +28,7 @@ Tables = tuple[FloatArray, FloatArray]
 SEEN: dict[tuple[object, ...], tuple[Finding, ...]] = {}
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def axes_are_screened_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Screen each axis once for all tests with equal samples."""
 

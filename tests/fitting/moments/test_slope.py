@@ -91,12 +91,11 @@ def test_a_rescaled_curve_only_rescales_the_estimates() -> None:
 
 def test_gauss_markov_terms_and_empty_windows_are_rejected() -> None:
     curve = simulated_curve("N=1", 1000, np.random.default_rng(47))
-    with pytest.raises(ValueError, match=r"^method 'slope' can't fit GM \(Gauss-Markov\); leave GM out"):
+    with pytest.raises(ValueError, match=r"^method 'slope' can't fit GM"):
         fit(curve, method="slope", model="N + GM")
     with pytest.raises(
         ValueError,
-        match=r"^window of N: no averaging time between 0\.1 and 0\.5 s; the curve has 1 to 128 s, "
-        r"which differ by a factor of about 2$",
+        match=r"^window of N: .* 0\.1 and 0\.5 s; the curve has 1 to 128 s",
     ):
         fit_slope(None, curve, FitSettings(model="N"), windows={"N": (0.1, 0.5)})
 

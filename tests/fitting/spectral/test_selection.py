@@ -144,7 +144,7 @@ def test_unknown_arguments_are_rejected(arguments: dict[str, object], message: s
 def test_maximum_likelihood_rejects_a_curve() -> None:
     series = AxisSeries.from_samples(simulated("N=1", 200, 1), rate_hz=1.0)
     curve = fit(series).curve
-    with pytest.raises(ValueError, match="maximum likelihood needs the samples, got an Allan curve"):
+    with pytest.raises(ValueError, match="got an Allan curve"):
         fit(curve)
 
 

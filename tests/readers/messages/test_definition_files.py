@@ -8,6 +8,7 @@ import pytest
 from imucal.errors import ChoiceError, ReadError
 from imucal.readers import describe, read
 from imucal.readers.messages.definitions import definition_of, read_definitions
+from tests.raising import raises
 from tests.readers.logs import Message, header, samples, store, write_mcap
 from tests.readers.messages.test_messages import check
 
@@ -83,7 +84,7 @@ def test_definition_files_can_be_given_one_by_one(tmp_path: Path) -> None:
 def test_a_missing_nested_type_is_reported(tmp_path: Path) -> None:
     """The nested type is neither given nor part of ROS."""
     path, folder = log(tmp_path), package(tmp_path)
-    with pytest.raises(ChoiceError, match="type other_msgs/Note is not defined"):
+    with raises(ChoiceError, "other_msgs/Note", place="log.mcap", argument="message_definition"):
         read(path, topic="/board", message_definition=folder / "acme")
 
 
@@ -98,12 +99,12 @@ def test_a_path_without_definitions_is_refused(tmp_path: Path) -> None:
     path = log(tmp_path)
     empty = tmp_path / "empty"
     empty.mkdir()
-    with pytest.raises(ReadError, match=r"empty: no \.msg files in this folder"):
+    with raises(ReadError, r"no \.msg files", place="empty"):
         read(path, message_definition=empty)
-    with pytest.raises(ReadError, match=r"none\.msg: can't be opened"):
+    with raises(ReadError, "can't be opened", place="none.msg"):
         read(path, message_definition=tmp_path / "none.msg")
     (tmp_path / "Board.msg").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ReadError, match=r"Board\.msg: can't be read: .*; expected a message definition"):
+    with raises(ReadError, "can't be read", place="Board.msg"):
         read(path, message_definition=tmp_path / "Board.msg")
 
 

@@ -11,6 +11,7 @@ import pytest
 from imucal.errors import ChoiceError, ReadError
 from imucal.readers import describe, read
 from imucal.recording import Recording
+from tests.raising import raises
 from tests.readers.logs import (
     IMU,
     TOPIC,
@@ -214,7 +215,7 @@ def test_px4_sensor_combined_is_read(defined: bool, tmp_path: Path) -> None:  # 
     file = tmp_path / "SensorCombined.msg"
     file.write_text(PX4_COMBINED, encoding="utf-8")
     if not defined:
-        with pytest.raises(ChoiceError, match=r"give its \.msg file, SensorCombined\.msg"):
+        with raises(ChoiceError, r"SensorCombined\.msg", place="log.mcap", argument="message_definition"):
             read(path)
     recording = read(path) if defined else read(path, message_definition=file)
     assert np.array_equal(axes(recording), single.astype(np.float64))
@@ -260,7 +261,7 @@ def test_a_damaged_definition_is_refused(tmp_path: Path) -> None:
     damaged = text.replace("float64[9] angular_velocity_covariance", "float64[8] angular_velocity_covariance")
     assert damaged != text
     path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH), definitions={IMU: ("ros2msg", damaged)})
-    with pytest.raises(ReadError, match=r"a message has \d+ bytes instead of the \d+ of its definition"):
+    with raises(ReadError, "316 bytes instead of the 308", place="log.mcap"):
         read(path)
 
 
@@ -347,9 +348,7 @@ def test_units_and_scales_of_messages_can_be_given(tmp_path: Path) -> None:
     recording = read(path, gyro_unit="deg/s", accel_scale=0.5)
     npt.assert_allclose(axes(recording)[:, :3], np.deg2rad(TRUTH.gyro), rtol=1e-15)
     npt.assert_array_equal(axes(recording)[:, 3:], TRUTH.accel * 0.5)
-    with pytest.raises(
-        ChoiceError, match="topic /imu/data: 'furlong' is not a unit of the gyroscope; expected one such as"
-    ):
+    with raises(ChoiceError, "'furlong'", argument="gyro_unit"):
         read(path, gyro_unit="furlong")
 
 

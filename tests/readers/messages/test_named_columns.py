@@ -19,6 +19,7 @@ from imucal.readers.messages.topics import find_topics
 from imucal.readers.read_options import ReadOptions
 from imucal.recording import Recording
 from imucal.units import G0
+from tests.raising import raises
 from tests.readers.logs import TOPIC, Message, header, samples, store, write_bag, write_db3, write_mcap
 from tests.readers.messages.test_messages import axes, messages_of
 from tests.slow_cases import first_by_default
@@ -158,9 +159,7 @@ def test_the_axes_can_be_in_any_order(tmp_path: Path) -> None:
 
 def test_the_unit_of_counts_must_be_given_and_that_of_decimals_is_assumed(tmp_path: Path) -> None:
     """The unit of decimals is an assumption, so a finding reports it."""
-    with pytest.raises(
-        ChoiceError, match=r"topic /imu/data: the unit of the gyroscope is unknown: .* integer"
-    ):
+    with raises(ChoiceError, "topic /imu/data: the unit of the gyroscope .* integer", argument="gyro_unit"):
         read(counts(tmp_path), columns="g=g,a=a")
     recording = read(single(tmp_path), columns=SINGLE)
     is_near(recording, 0)

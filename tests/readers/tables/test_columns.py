@@ -13,6 +13,7 @@ from imucal.readers.tables.plan import find_bare_triads, find_temperature, find_
 from imucal.readers.tables.text_table import read
 from imucal.recording import Sensor
 from imucal.units import SAMPLE_UNITS, TIME_UNITS_NS, parse_sample_unit, time_unit_ns
+from tests.raising import raises
 from tests.readers.tables.texts import N, cells, lines, seconds, truth, two_ardupilots, xyz
 
 GYRO, ACCEL = Role.GYROSCOPE, Role.ACCELEROMETER
@@ -178,7 +179,12 @@ def test_one_usual_tag_identifies_both_sensors(
 def test_tags_of_two_gyroscopes_are_not_guessed() -> None:
     """The user must choose; the error offers the columns texts."""
     table = named("tag", "x", "y", "z", rows=[(tag, "1", "2", "3") for tag in ("gyro2", "gyro1", "acc")])
-    with pytest.raises(ChoiceError, match=r"gyro1, gyro2.*such as g=1:4@gyro1,a=1:4@acc or g=1:4@gyro2,a="):
+    with raises(
+        ChoiceError,
+        r"gyro1, gyro2.*such as g=1:4@gyro1,a=1:4@acc or g=1:4@gyro2,a=",
+        place="log.csv",
+        argument="columns",
+    ):
         find_bare_triads(table, "log.csv")
 
 
@@ -195,7 +201,7 @@ def test_the_file_name_identifies_the_sensor() -> None:
         found, how = find_bare_triads(named("x", "y", "z"), name)
         assert ([*found], how) == ([sensor], "by the name of the file")
     for name in ("accuracy.csv", "gyro_acc.csv"):
-        with pytest.raises(ChoiceError, match="have no sensor in their names"):
+        with raises(ChoiceError, "no sensor in their names", place="log.csv", argument="columns"):
             find_bare_triads(named("x", "y", "z"), name)
 
 
@@ -353,9 +359,8 @@ def refused(folder: Path, content: str, name: str = "log.csv", **options: object
     path.write_text(content, encoding="utf-8")
     with pytest.raises(ChoiceError) as caught:
         read(path, ReadOptions(**options))  # type: ignore[arg-type]
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ")
-    return message.removeprefix(f"{path}: ")
+    assert caught.value.place == str(path)
+    return caught.value.sentence
 
 
 HOW = "(numbers from 0 without the end, or three names joined by +)"
@@ -430,7 +435,13 @@ def test_two_sets_of_gyroscope_columns_are_refused(tmp_path: Path) -> None:
     """The user must choose; the error offers the columns texts."""
     header = "t,gyroADC[0],gyroADC[1],gyroADC[2],gyroUnfilt[0],gyroUnfilt[1],gyroUnfilt[2]"
     content = lines(header, seconds(truth()), *xyz(truth().gyro), *xyz(truth().gyro))
-    assert refused(tmp_path, content).partition("; also, the unit of the gyroscope is unknown")[0] == (
+    path = tmp_path / "log.csv"
+    path.write_text(content, encoding="utf-8")
+    with pytest.raises(ChoiceError) as caught:
+        read(path, ReadOptions())
+    columns, unit = caught.value.parts()
+    assert "gyro_unit" in [fix.argument for fix in unit.fixes]
+    assert columns.sentence == (
         "2 sets of gyroscope columns: gyroADC[0], gyroUnfilt[0]; found columns: 0 t, 1 gyroADC[0], 2 "
         "gyroADC[1], 3 gyroADC[2], 4 gyroUnfilt[0], 5 gyroUnfilt[1], 6 gyroUnfilt[2]; name them in a "
         f"columns text such as t=0,g=1:4 or t=0,g=4:7 {HOW}"

@@ -20,6 +20,7 @@ from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables import text_source, text_table
 from imucal.readers.tables.text_table import read
 from imucal.recording import Recording
+from tests.raising import raises
 from tests.readers.tables.texts import N, euroc, lines, seconds, truth, xyz
 
 HEADER = "time (s),gyro_x (rad/s),gyro_y (rad/s),gyro_z (rad/s),acc_x (m/s^2),acc_y (m/s^2),acc_z (m/s^2)"
@@ -185,7 +186,7 @@ def test_stamps_damaged_by_a_spreadsheet_are_refused(tmp_path: Path) -> None:
     content = lines(
         HEADER.replace("(s)", "[ns]", 1), ["1.40E+18"] * N, *xyz(truth().gyro), *xyz(truth().accel)
     )
-    with pytest.raises(DataError, match="do not increase"):
+    with raises(DataError, "do not increase", place="log.csv", argument="rate_hz"):
         read(store(tmp_path, content), ReadOptions())
 
 
@@ -248,15 +249,10 @@ def test_strict_refuses_bad_rows(tmp_path: Path) -> None:
 
 def test_strict_refuses_a_cut_end(tmp_path: Path) -> None:
     path = store(tmp_path, plain().rstrip("\n")[:-3])
-    with pytest.raises(
-        ReadError, match=r"the last line has no line end and may be cut .*; expected whole lines"
-    ):
+    with raises(ReadError, "the last line has no line end", place="log.csv"):
         read(path, ReadOptions(strict=True))
     path = store(tmp_path, gzip.compress(plain().encode())[:-100])
-    with pytest.raises(
-        ReadError,
-        match=r"The gzip stream is cut off or damaged .* Expected an undamaged log",
-    ):
+    with raises(ReadError, "The gzip stream is cut off", place="log.csv"):
         read(path, ReadOptions(strict=True))
 
 
@@ -349,14 +345,14 @@ def test_a_file_that_is_not_a_table_is_refused(content: bytes, message: str, tmp
 
 
 def test_a_missing_file_is_a_read_error(tmp_path: Path) -> None:
-    with pytest.raises(ReadError, match=r"none\.csv: can't be opened: No such file or directory"):
+    with raises(ReadError, "No such file or directory", place="none.csv"):
         read(tmp_path / "none.csv", ReadOptions())
 
 
 def test_a_line_of_megabytes_is_refused(tmp_path: Path) -> None:
     """A line of that size is no row and must not fill the memory."""
     content = plain().encode() + b"1" * (12 << 20)
-    with pytest.raises(ReadError, match="a line of more than 1048576 bytes; expected rows of a table"):
+    with raises(ReadError, "more than 1048576 bytes", place="log.csv"):
         read(store(tmp_path, content), ReadOptions())
 
 
@@ -382,7 +378,7 @@ def test_an_ambiguous_table_is_described_with_the_reason(tmp_path: Path) -> None
     assert topic.note.startswith(
         "x, y and z (x, y, z) have no sensor in their names; found columns: 0 time (s)"
     )
-    with pytest.raises(ReadError, match="no rows of numbers"):
+    with raises(ReadError, "no rows of numbers", place="log.csv"):
         text_table.describe(store(tmp_path, "hello\nworld\n\n"), ReadOptions())
 
 

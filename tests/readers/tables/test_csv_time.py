@@ -13,6 +13,7 @@ from imucal.readers.tables.dates import parse_texts
 from imucal.readers.tables.stamps import infer_time_unit, to_ns, unwrapped
 from imucal.readers.tables.text_table import read
 from imucal.recording import Recording, Sensor
+from tests.raising import raises
 from tests.readers.tables.texts import EPOCH, N, lines, rostopic, truth, xyz
 
 AXES = "gx (rad/s),gy (rad/s),gz (rad/s)"
@@ -355,7 +356,7 @@ def test_each_of_two_sensors_in_a_table_has_its_own_rate(tmp_path: Path) -> None
 def test_stamps_with_too_few_digits_are_refused_and_a_rate_replaces_them(tmp_path: Path) -> None:
     """In single precision, seconds since 1970 advance by 128 s."""
     stamps = np.float32(1.7e9 + np.arange(N) / 100).astype(np.float64)
-    with pytest.raises(ChoiceError, match="another time column, or give the sampling rate"):
+    with raises(ChoiceError, "increases by 0 per row", place="log.csv", argument="time"):
         recorded(tmp_path, "timestamp", stamps)
     found = recorded(tmp_path, "timestamp", stamps, rate_hz=100.0)
     assert found.series[0].rate_hz == 100.0

@@ -18,6 +18,7 @@ from imucal.readers.tables.text_source import open_text
 from imucal.readers.tables.text_table import lay_out, plan_of_head, read
 from imucal.recording import Sensor
 from imucal.units import SAMPLE_UNITS
+from tests.raising import raises
 from tests.readers.tables.texts import STYLES, Style, Truth, lines, stamps, truth, write, xyz
 
 MANUAL = Path(__file__).parents[3] / "docs" / "formats.md"
@@ -120,7 +121,7 @@ def test_a_table_entry_and_an_example_define_a_dialect(
 ) -> None:
     """The units are known without further changes."""
     path = write(EXAMPLE, tmp_path)
-    with pytest.raises(ChoiceError, match="the unit of the gyroscope is unknown"):
+    with raises(ChoiceError, "gyroscope is unknown", argument="gyro_unit"):
         read(path, ReadOptions())
     monkeypatch.setattr(dialects, "DIALECTS", (*DIALECTS, ACME))
     assert forgotten(ACME, tmp_path, (*STYLES, EXAMPLE), WORDS) == []

@@ -16,6 +16,7 @@ from imucal.findings import Finding
 from imucal.readers import describe, read
 from imucal.readers.tables.text_table import merge
 from imucal.recording import AxisSeries, Recording, Sensor, Source, Temperature
+from tests.raising import raises
 from tests.readers.tables.texts import EPOCH, N, truth
 
 
@@ -109,7 +110,7 @@ def test_empty_files_are_skipped(empty: str, packed: bool, tmp_path: Path) -> No
     path = written(tmp_path, files | UNCALIBRATED | META, packed=packed)
     is_truth(path)
     assert describe(path).topics[0].count == N
-    with pytest.raises(ChoiceError, match=r"topic Gyroscope\.csv has no messages; found\n"):
+    with raises(ChoiceError, r"Gyroscope\.csv has no messages", argument="topic"):
         read(path, topic="Gyroscope.csv")
 
 
@@ -123,7 +124,7 @@ def test_a_file_name_can_be_given_as_topic(packed: bool, tmp_path: Path) -> None
     is_truth(path, topic=list(UNCALIBRATED))
     named = read(path, topic="Gravity.csv", columns="t=time,a=x+y+z", time_unit="ns", accel_unit="m/s^2")
     np.testing.assert_array_equal(named.series[0].samples, ACCEL[:, 0])
-    with pytest.raises(ChoiceError, match=r"there is no topic gyro; choose one of these topics\n  [AG]"):
+    with raises(ChoiceError, r"no topic gyro; .*\n  [AG]", argument="topic"):
         read(path, topic="gyro")
 
 
@@ -149,9 +150,7 @@ def test_columns_identify_the_sensor_of_a_file_without_a_sensor_name(tmp_path: P
     np.testing.assert_array_equal(read(path).series[0].samples, 2 * GYRO[:, 0])
     (path / "Gyroscope.csv").unlink()
     (path / "one.csv").write_text("time,pressure\n1,2\n2,3\n", encoding="utf-8")
-    with pytest.raises(
-        ChoiceError, match=r"no topic carries a gyroscope or an accelerometer; found\n  notes"
-    ):
+    with pytest.raises(ChoiceError, match=r"no topic carries a gyroscope .*\n  notes"):
         read(path)
 
 
@@ -160,7 +159,7 @@ def test_many_tables_are_refused_with_their_number(packed: bool, tmp_path: Path)
     """Reading the start of each takes a millisecond."""
     path = written(tmp_path, {f"{i}.csv": "1,2,3\n" for i in range(1001)}, packed=packed)
     for read_or_describe in (read, describe):
-        with pytest.raises(ReadError, match="it contains 1001 tables of text; expected one per sensor"):
+        with pytest.raises(ReadError, match="1001 tables of text"):
             read_or_describe(path)
 
 
@@ -169,7 +168,7 @@ def test_a_zip_that_declares_too_large_tables_is_refused(tmp_path: Path) -> None
     path = tmp_path / "log.zip"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("Gyroscope.csv", "time,x,y,z\n" + "1,2,3,4\n" * 9_000_000)
-    with pytest.raises(ReadError, match=r"its \d+ bytes declare 72000011 bytes of tables; no recording"):
+    with raises(ReadError, "72000011 bytes of tables", place="log.zip"):
         read(path)
 
 

@@ -13,11 +13,13 @@ from imucal.readers.tables import passed, typed_table
 from imucal.readers.tables.passed import cut, taken, written
 from imucal.readers.tables.typed_table import write_arrays
 
+pytestmark = pytest.mark.usefixtures("small_pieces")
+
 VALUES = np.random.default_rng(3).normal(size=(5, 401, 3))
 
 
-@pytest.fixture(autouse=True)
-def small(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     """Read a hundred numbers at a time."""
     monkeypatch.setattr(passed, "PIECE", 800)
     monkeypatch.setattr(typed_table, "PIECE", 800)

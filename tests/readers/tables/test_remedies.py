@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imucal.errors import ChoiceError
+from imucal.errors import ChoiceError, ImucalError
 from imucal.readers import read
 from imucal.recording import Recording
+from tests.raising import raises
 from tests.readers.tables.texts import N, lines, truth, xyz
 
 SI = "gx (rad/s),gy (rad/s),gz (rad/s),ax (m/s^2),ay (m/s^2),az (m/s^2)"
@@ -27,6 +28,13 @@ def refused(path: Path, **options: Any) -> str:  # noqa: ANN401 - options of any
     with pytest.raises(ChoiceError) as caught:
         read(path, **options)
     return str(caught.value)
+
+
+def problems(path: Path, **options: Any) -> tuple[ImucalError, ...]:  # noqa: ANN401 - options of any kind
+    """Return the errors of everything that a log needs to be read."""
+    with pytest.raises(ChoiceError) as caught:
+        read(path, **options)
+    return caught.value.parts()
 
 
 def is_truth(recording: Recording) -> None:
@@ -89,7 +97,7 @@ def test_a_time_unit_for_a_date_is_refused(tmp_path: Path) -> None:
     stamps = [f"2026-11-22 10:00:{i // 10:02d}.{i % 10}" for i in range(N)]
     path.write_text(lines(f"time,{SI}", stamps, *sensors()), encoding="utf-8")
     assert "the time unit ms does not apply: the gyroscope has the time time" in refused(path, time_unit="ms")
-    with pytest.raises(ChoiceError, match="'week' is not a time unit; expected one of ns, us, ms, s, min"):
+    with raises(ChoiceError, "'week'", place="log.csv", argument="time_unit"):
         read(path, time_unit="week")
     is_truth(read(path))
 
@@ -217,9 +225,8 @@ def test_one_refusal_lists_everything_missing(write: str, tmp_path: Path) -> Non
     assert FORM in refused(path)
     columns = "g=values[0]+values[1]+values[2],a=values[3]+values[4]+values[5]"
     columns = columns if write == "jsonl" else "g=0:3,a=3:6"
-    rate, unit = refused(path, columns=columns).split("; also, ")
-    assert rate.endswith("give the sampling rate")
-    assert unit.startswith("the unit of the gyroscope is unknown")
+    rate, unit = problems(path, columns=columns)
+    assert [rate.fixes[0].argument, unit.fixes[0].argument] == ["rate_hz", "gyro_unit"]
     is_truth(read(path, columns=columns, rate_hz=100.0, gyro_unit="deg/s"))
 
 
@@ -239,10 +246,10 @@ def test_each_proposal_works_with_the_requested_rate_and_unit(tmp_path: Path) ->
     header = ",".join(f"imu{i}_{sensor}{axis}" for i in (1, 2) for sensor in "ga" for axis in "xyz")
     both = np.column_stack([truth().deg, truth().g]).T.tolist()
     path.write_text(lines(header, *both, *both), encoding="utf-8")
-    asked, rate, unit = refused(path).split("; also, ")
-    assert rate.endswith("give the sampling rate")
-    assert unit.startswith("the unit of the gyroscope is unknown")
-    ready = re.search(r"such as (\S+) or (\S+) \(numbers", asked)
+    columns_text, rate, unit = problems(path)
+    arguments = [error.fixes[0].argument for error in (columns_text, rate, unit)]
+    assert arguments == ["columns", "rate_hz", "gyro_unit"]
+    ready = re.search(r"such as (\S+) or (\S+) \(numbers", columns_text.sentence)
     assert ready is not None
     for columns in ready.groups():
         is_truth(read(path, columns=columns, rate_hz=100.0, gyro_unit="deg/s"))

@@ -17,6 +17,7 @@ from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables import typed_table
 from imucal.readers.tables.passed import Notes
 from imucal.readers.tables.typed_table import _flatten, _of_array, _of_arrays, _plain, open_table
+from tests.raising import raises
 from tests.readers.tables.hdf5_logs import write_hdf5
 
 
@@ -218,7 +219,7 @@ def test_tables_without_a_sensor_are_skipped(tmp_path: Path) -> None:
     found = typed_table.read(path, ReadOptions(rate_hz=10.0, gyro_unit="rad/s"))
     assert [series.name for series in found.series] == ["gyro_x", "gyro_y", "gyro_z"]
     path = save(tmp_path / "log.npz", other=np.zeros(90), more=np.zeros((70, 2)))
-    with pytest.raises(ChoiceError, match=r"found columns: 0 more"):
+    with raises(ChoiceError, "found columns: 0 more", place="log.npz", argument="columns"):
         typed_table.read(path, ReadOptions(rate_hz=10.0))
 
 
@@ -234,7 +235,7 @@ def test_numbers_as_texts_are_read(tmp_path: Path) -> None:
     found = typed_table.read(path, ReadOptions(gyro_unit="rad/s"))
     np.testing.assert_array_equal(found.series[0].samples, values)
     pl.DataFrame(columns | {"gy": ["wrong"] * 50}).write_parquet(path)
-    with pytest.raises(ChoiceError, match=r"the columns of the gyroscope are not numbers: .*'wrong'"):
+    with raises(ChoiceError, "not numbers: .*'wrong'", place="log.parquet", argument="columns"):
         typed_table.read(path, ReadOptions(gyro_unit="rad/s"))
 
 
@@ -250,7 +251,7 @@ def test_complex_columns_are_refused_by_their_type(name: str, tmp_path: Path) ->
         scipy.io.savemat(path, {"gyro": values})
     else:
         write_hdf5(path, {"gyro": values})
-    with pytest.raises(ReadError, match=r"\(600, 3\) complex128; expected gyroscope or accelerometer arrays"):
+    with raises(ReadError, r"\(600, 3\) complex128", place=name):
         read(path)
 
 
@@ -262,7 +263,7 @@ def test_columns_that_can_be_read_next_to_complex_ones_are_read(tmp_path: Path) 
 def test_values_without_bytes_are_refused_by_their_type(tmp_path: Path) -> None:
     """A file of a hundred bytes may declare any number of them."""
     path = save(tmp_path / "log.npz", gyro=np.zeros(10**9, dtype="V0"))
-    with pytest.raises(ReadError, match=r"gyro \(1000000000,\) void"):
+    with raises(ReadError, r"\(1000000000,\) void", place="log.npz"):
         read(path)
 
 
@@ -270,10 +271,10 @@ def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path: Path) -> None:
     """The sizes are those of the archive's directory, so nothing is unpacked."""
     path = tmp_path / "log.npz"
     np.savez_compressed(path, gyro=np.zeros((4_000_000, 3)))
-    with pytest.raises(ReadError, match="declare 96000128 bytes of arrays; no recording"):
+    with raises(ReadError, "96000128 bytes of arrays", place="log.npz"):
         open_table(path)
     save(path, **{f"a{i}": np.zeros(1) for i in range(4001)})
-    with pytest.raises(ReadError, match="it contains 4001 arrays; expected at most 4000"):
+    with raises(ReadError, "4001 arrays", place="log.npz"):
         open_table(path)
 
 
@@ -287,7 +288,7 @@ def test_an_npy_file_is_not_mapped(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.stack([column.values for column in found.columns], axis=1), values)
     np.save(path, values)
     os.truncate(path, path.stat().st_size - 8)
-    with pytest.raises(ReadError, match="declares 14400 bytes and contains 14392"):
+    with raises(ReadError, "14400 bytes and contains 14392", place="log.npy"):
         open_table(path)
 
 

@@ -13,6 +13,7 @@ import pytest
 from imucal.errors import ChoiceError, ImucalError, ReadError
 from imucal.readers import read
 from imucal.recording import Sensor
+from tests.raising import raises
 
 N = 900
 RATE = 100.0
@@ -159,7 +160,7 @@ def test_a_pointer_of_git_lfs_is_named(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     text = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 132735\n"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(ReadError, match="a pointer of Git LFS, not the log; type: git lfs pull"):
+    with raises(ReadError, "a pointer of Git LFS", place="log.csv"):
         read(path)
 
 
@@ -170,7 +171,7 @@ def test_two_devices_in_one_table_are_listed(tmp_path: Path) -> None:
     header = ",".join(["time_s", *(name.format(device) for device in (0, 1) for name in axes)])
     values = np.column_stack([TIME, ACCEL, GYRO, ACCEL, 2 * GYRO])
     np.savetxt(path, values, delimiter=",", header=header, comments="", fmt="%.6f")
-    with pytest.raises(ChoiceError, match="2 sets of gyroscope columns") as error:
+    with raises(ChoiceError, "2 sets of gyroscope columns", place="log.csv", argument="columns") as error:
         read(path)
     examples = re.findall(r"t=0,g=\d+:\d+,a=\d+:\d+", str(error.value))
     assert examples == ["t=0,g=4:7,a=1:4", "t=0,g=10:13,a=7:10"]

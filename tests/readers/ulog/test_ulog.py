@@ -15,6 +15,7 @@ from imucal.readers.flight_logs import describe, read
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.ulog_walk import walk
 from imucal.recording import Sensor
+from tests.raising import raises
 from tests.real_data import real_data
 
 LOGS = ("mcap_test_ulog", "pyulog_sample", "pyulog_sample_px4_events", "pyulog_sample_log_small")
@@ -212,7 +213,7 @@ def test_a_log_without_imu_is_refused(tmp_path: Path) -> None:
 def test_other_bytes_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "log.ulg"
     path.write_bytes(b"ULog\x01\x12\x36" + bytes(100))
-    with pytest.raises(ReadError, match="not a readable ULog file"):
+    with raises(ReadError, "not a readable ULog file", place="log.ulg"):
         read(path, ReadOptions())
 
 
@@ -261,7 +262,7 @@ def test_a_log_that_ends_within_a_message_is_truncated(tmp_path: Path) -> None:
         path.write_bytes(data[: at + lost])
         assert codes(path) >= {"truncated"}
         assert read(path, ReadOptions()).series[0].n == 100
-        with pytest.raises(ReadError, match="the log is damaged, and strict reading was requested"):
+        with raises(ReadError, "strict reading", place="log.ulg"):
             read(path, ReadOptions(strict=True))
 
 
