@@ -57,7 +57,7 @@ def _calibrated(found: Node, limit: Limit) -> Iterator[Row]:
     sensor = Sensor(limit.where.rpartition(".")[2])
     where, node = sensor.short, found[sensor.value]
     if node.value is None:
-        yield Row(where, limit.quantity, "fail", f"{where}: the calibration has no {sensor}")
+        yield Row(where, limit.quantity, "fail", f"the calibration has no {sensor}")
         return
     for name, size in _sizes(found, sensor, limit.quantity):
         row = judge(
@@ -69,10 +69,8 @@ def _calibrated(found: Node, limit: Limit) -> Iterator[Row]:
             unit=limit.unit,
         )
         if size is None:
-            text = (
-                f"{where}: the log does not determine {name}; add the rests and turns that the findings name"
-            )
-            row = replace(row, text=text)
+            text = f"the log does not determine {name}; add the rests and turns that the findings name"
+            row = replace(row, found=text)
         yield row
 
 

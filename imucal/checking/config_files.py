@@ -77,8 +77,9 @@ class Setting(NamedTuple):
         found = tuple(map(_number, self.written))
         return found if all(map(math.isfinite, found)) else ()
 
-    def place(self, where: str) -> str:
-        return f"{where}: {self.file}:{self.line}: {self.name}"
+    @property
+    def place(self) -> str:
+        return f"{self.file}:{self.line}: {self.name}"
 
     def is_called(self, name: str) -> bool:
         return self.name == name or self.name.endswith((f"/{name}", f".{name}"))
@@ -181,11 +182,11 @@ def _rate_rows(settings: Sequence[Setting], own: Sequence[Setting], rate_hz: flo
             continue
         same = abs(setting.numbers[0] / rate_hz - 1) <= _SAME_RATE
         instead = "" if same else setting.with_number(real(rate_hz))
-        text = f"{setting.place('log')} is {setting.numbers[0]:g} Hz, and the log has {rate_hz:g} Hz"
+        found = f"{setting.place} is {setting.numbers[0]:g} Hz, and the log has {rate_hz:g} Hz"
         if instead:
-            text += f"; unless the IMU has another rate than the log, write '{instead}'"
+            found += ", perhaps another rate than the IMU"
         verdict: Verdict = "undecided" if instead else "pass"
-        yield Row("log", setting.name, verdict, text, instead=instead)
+        yield Row("log", setting.name, verdict, found, instead=instead)
 
 
 def _noise_rows(
@@ -198,8 +199,8 @@ def _noise_rows(
     for key, i, setting in there:
         short = key.sensor.short
         if key.sensor not in numbers.sensors:
-            text = f"{short}: {setting.name}: the report has no {key.sensor}; use a report with one"
-            yield Row(short, setting.name, "undecided", text)
+            found = f"{setting.place}: the report has no {key.sensor}; use a report with one"
+            yield Row(short, setting.name, "undecided", found)
             continue
         mates = [(k, s) for k, j, s in there if (k.sensor, j) == (key.sensor, i) and k.symbol != key.symbol]
         axes = (numbers.triad(key.sensor)[i],) if "{" in key.name else numbers.chosen(key.sensor)
@@ -248,12 +249,11 @@ def _noise_row(setting: Setting, wanted: "_Wanted", spelled: str, shared: str) -
     alone = verdict != "pass" or number >= right
     instead = setting.with_number(spelled) if message and alone else ""
     shown = " ".join(setting.written) if math.isnan(number) else f"{number:.4g} {key.unit}"
-    text = f"{setting.place(key.sensor.short)} is {shown}; {message or 'enough for this sensor'}"
     return Row(
         key.sensor.short,
         setting.name,
         verdict,
-        f"{text}; write '{instead}'" if instead else text,
+        f"{setting.place} is {shown}; {message or 'enough for this sensor'}",
         side="min" if alone else None,
         limit=right if alone else None,
         unit=key.unit,

@@ -198,7 +198,7 @@ def _row(model: SensorModel, term: FleetTerm, value: LogValue, *, p: float | Non
         where=term.name,
         subject=subject,
         verdict=verdict,
-        text=f"{term.name}: {term.term} is {measured.text()} {unit.name}; {text}",
+        found=f"{term.term} is {measured.text()} {unit.name}; {text}",
         unit=unit.name,
         measured=measured,
     )
