@@ -10,19 +10,19 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 
 from imucal.checking.limits import text_of
 from imucal.checking.verdict import WORST_FIRST, Row, Verdict
-from imucal.errors import LimitsError
+from imucal.errors import Fix, LimitsError
 from imucal.noise.terms import TERMS
-from imucal.prediction.filter_numbers import LEVEL, STEP_S, covered_frequencies
+from imucal.prediction.filter_numbers import LEVEL, covered_frequencies
 from imucal.prediction.propagation import MEAN, Caution, upper_limit
 from imucal.recording import Sensor
 from imucal.report.exports import TARGETS
-from imucal.report.exports.config_numbers import AxisPolicy, ExportOptions, Numbers
+from imucal.report.exports.config_numbers import Numbers, read_options
 from imucal.report.exports.target import Key, Target, real
 from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
@@ -132,7 +132,13 @@ def check_config(path: Path, report: Report) -> tuple[Row, ...]:
     read or has an unknown format, and DataError if the report lacks an axis that the format needs.
     """
     text = text_of(path, "the config file of a filter")
-    settings, options = read_settings(text, path.name), _options(text)
+    settings = read_settings(text, path.name)
+    try:
+        options = read_options(text)
+    except ValueError as error:
+        problem = "the line of imucal's options in a comment is not valid"
+        fix = Fix("remove the line, or export the file again")
+        raise LimitsError(problem, place=path, fix=fix) from error
     there = {setting.name for setting in settings}
     # Of several formats with the same keys, choose the one with the most other lines in the file.
     own, target = max(
@@ -141,20 +147,6 @@ def check_config(path: Path, report: Report) -> tuple[Row, ...]:
     )
     numbers = target.numbers(report, options)
     return (*_noise_rows(settings, target.keys, own, numbers), *_rate_rows(settings, own, numbers.stream_hz))
-
-
-def _options(text: str) -> ExportOptions:
-    inflated = re.search(r"inflation: (.*); ALREADY", text)
-    factors = re.findall(r"(\w+) \([^)]*\) x ([\d.e+-]+)", inflated[1]) if inflated else []
-    axes = re.search(r"axes: (\w+)", text)
-    policies: dict[str, AxisPolicy] = {policy: policy for policy in get_args(AxisPolicy)}
-    times = re.search(r"aided every (\S+) s or slower, horizon (\S+) s", text)
-    return ExportOptions(
-        inflate={name: float(factor) for name, factor in factors},
-        axis_policy=policies.get(axes[1] if axes else "", "worst"),
-        step_s=float(times[1]) if times else STEP_S,
-        horizon_s=float(times[2]) if times else None,
-    )
 
 
 def _names(key: Key) -> tuple[str, ...]:
@@ -171,7 +163,7 @@ def _formats(path: Path, settings: Sequence[Setting]) -> list[Target]:
     most = max(counts.values())
     if not most:
         known = ", ".join(name for name in counts if TARGETS[name].keys)
-        raise LimitsError(f"{path}: found no noise parameter; expected a file of one of {known}")
+        raise LimitsError(f"found no noise parameter; expected a file of one of {known}", place=path)
     return [TARGETS[name] for name, count in counts.items() if count == most]
 
 

@@ -3,6 +3,7 @@
 A filter with the fitted N and K alone would be overconfident; see `imucal.prediction.filter_numbers`.
 """
 
+import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, replace
@@ -84,6 +85,42 @@ class ExportOptions:
 
 
 DEFAULT_OPTIONS = ExportOptions()
+#: Start of the line in a file's comment that contains the options as JSON, for `read_options`.
+_OPTIONS_MARK = "imucal: "
+
+
+def options_line(options: ExportOptions, horizon_s: float) -> str:
+    """Return the options of a file's numbers as one line of its comment, for `read_options`."""
+    document = {
+        "axis": options.axis_policy,
+        "inflate": dict(options.inflate),
+        "step_s": options.step_s,
+        "horizon_s": horizon_s,
+    }
+    return _OPTIONS_MARK + json.dumps(document)
+
+
+def read_options(text: str) -> ExportOptions:
+    """Return the options in the comment of a file; the defaults if imucal did not write the file.
+
+    Raises ValueError if the line of the options was changed and is not valid.
+    """
+    for line in map(str.strip, text.splitlines()):
+        if f"{_OPTIONS_MARK}{{" not in line:
+            continue
+        try:
+            # A JSON file has no comments, so its line is a quoted text.
+            comment = json.loads(line.removesuffix(",")) if line.startswith('"') else line
+            document = json.loads(comment.partition(_OPTIONS_MARK)[2])
+            return ExportOptions(
+                axis_policy=document["axis"],
+                inflate=document["inflate"],
+                step_s=document["step_s"],
+                horizon_s=document["horizon_s"],
+            )
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"its options are not valid: {line}") from error
+    return DEFAULT_OPTIONS
 
 
 @frozen
