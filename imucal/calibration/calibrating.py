@@ -46,7 +46,7 @@ from imucal.calibration.slow_noise import AccelerometerEstimate, estimate_accele
 from imucal.calibration.turn_data import Headings, Turn, TurnData, prepare_turns, start_of
 from imucal.calibration.turns import GyroNoise, TurnsFit, direction_covariance, fit_turns
 from imucal.clock import seconds_of
-from imucal.errors import ArgumentError, DataError
+from imucal.errors import ArgumentError, DataError, Fix
 from imucal.frozen import frozen_alone
 from imucal.noise import TERMS, NoiseModel
 from imucal.recording import ReadRange, Recording, Sensor
@@ -150,7 +150,8 @@ def calibrate(
     sigma[used] = np.sqrt(np.diag(estimate.fit.residual_covariance))
     result = _accelerometer(estimate, axes, found.keeping(used), place, si=si)
     every_turn: tuple[Turn, ...] = ()
-    trouble, rotating = "", None
+    trouble: DataError | None = None
+    rotating = None
     if turning is not None:
         both = found.keeping(used), turning.keeping(used)
         with _in_log(recording):
@@ -334,7 +335,7 @@ def _irreplaceable(up: FloatArray, moved: BoolArray) -> BoolArray:
 
 def _estimate(sensor: _Sensor, place: Gravity, *, si: bool) -> AccelerometerEstimate:
     if len(sensor.rests.means) < MIN_RESTS:
-        raise DataError(f"only {len(sensor.rests.means)} rests did not move; {ADVICE}")
+        raise DataError(f"only {len(sensor.rests.means)} rests did not move", fix=Fix(ADVICE))
     return estimate_accelerometer(
         sensor.rests.means,
         sensor.covariance,
@@ -399,8 +400,8 @@ def _gyroscope(
     known: KnownAngle | None,
     frame: Frame,
     si: tuple[bool | None, bool],
-) -> tuple[GyroscopeResult, tuple[Turn, ...], str]:
-    """Return the gyroscope, its turns, and why they could not be explained.
+) -> tuple[GyroscopeResult, tuple[Turn, ...], DataError | None]:
+    """Return the gyroscope, its turns, and why they could not be explained, or None.
 
     `si` is whether the gyroscope was said to be in rad/s, and whether the accelerometer is in m/s².
     """
@@ -458,8 +459,8 @@ def _gyroscope(
 
 def _start(
     plain: TurnData | None, known: KnownAngle | None, *, said_si: bool | None
-) -> tuple[FloatArray | None, FloatArray, str]:
-    """Return where the fit of the turns begins, their known angles, and why there is no such place.
+) -> tuple[FloatArray | None, FloatArray, DataError | None]:
+    """Return where the fit of the turns begins, their known angles, and why there is no such place, or None.
 
     The start has shape (3, 3); the angles, shape (t,), are NaN if unknown. `said_si` is whether the log is in
     rad/s, None if nothing says so. A DataError is raised if no turn has the known angle.
@@ -470,18 +471,18 @@ def _start(
                 "no turn has the known angle, because none can be used: the gyroscope has gaps, is clipped "
                 "or turns for more than 60 s in each of them"
             )
-        return None, np.zeros(0), ""
+        return None, np.zeros(0), None
     unknown = np.full(len(plain.rests), np.nan)
     try:
         start = start_of(plain)
     except DataError as error:
-        return None, unknown, error.sentence
+        return None, unknown, error
     if trouble := trouble_of(start):
         return None, unknown, trouble
     if known is None:
-        return start, unknown, ""
+        return start, unknown, None
     angles, start = known_of(plain, start, known, said_si=said_si)
-    return start, angles, ""
+    return start, angles, None
 
 
 def _gyroscope_result(rest: GyroRest, turns: TurnsFit | None, *, si: bool) -> GyroscopeResult:

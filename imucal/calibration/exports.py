@@ -23,7 +23,7 @@ from imucal.calibration.document import Intrinsics
 from imucal.calibration.frames import FRAMES
 from imucal.calibration.parameters import inverse
 from imucal.calibration.result import Calibration
-from imucal.errors import DataError, Fix
+from imucal.errors import ArgumentError, DataError, Fix
 from imucal.frozen import frozen
 from imucal.printable import one_line
 from imucal.report.exports import find_target
@@ -73,11 +73,12 @@ def _targets() -> Iterator[tuple[str, CalibrationTarget]]:
 
 
 def find_calibration_target(name: str) -> CalibrationTarget:
-    """Return a program by its name, ignoring case and hyphens, or raise a ValueError."""
+    """Return a program by its name, ignoring case and hyphens, or raise an ArgumentError."""
     for target in CALIBRATION_TARGETS.values():
         if name_key(target.name) == name_key(name):
             return target
-    raise ValueError(f"no calibration format {name!r}; choose one of {', '.join(CALIBRATION_TARGETS)}")
+    fix = Fix(f"choose one of {', '.join(CALIBRATION_TARGETS)}", "target")
+    raise ArgumentError(f"no calibration format {name!r}", fix=fix)
 
 
 def render_calibration(
