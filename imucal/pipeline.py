@@ -141,16 +141,14 @@ def characterize(
     failures = [failure for failure in found if isinstance(failure, DataError)]
     if not axes:
         reasons = _reasons(failures) or "the log has no samples"
-        raise DataError(f"no axis can be analysed: {reasons}", place=recording.source.path)
+        problem = f"no axis can be analysed: {reasons}"
+        raise DataError(problem, place=recording.source.path, code="no-result")
     report = Report(
         source=replace(recording.source, read=recording.source.read or ReadRange.of(recording.series)),
         axes=tuple(axes),
         settings=settings.document(),
         version=__version__,
-        findings=(
-            *_of_no_result(findings, axes, failures),
-            *(_no_result(failure, findings) for failure in failures),
-        ),
+        findings=tuple(_of_no_result(findings, axes, failures)),
     )
     return advised_report(report, recording)
 
@@ -172,11 +170,13 @@ def _no_result(error: DataError, findings: Sequence[Finding]) -> Finding:
 def _of_no_result(
     findings: Sequence[Finding], axes: Sequence[AxisReport], failures: Sequence[DataError]
 ) -> Iterator[Finding]:
-    """Yield the findings that belong to no result; a failure replaces the `no-data` of its axis."""
+    """Yield the findings that belong to no result, then the failures, which replace `no-data` of their axes."""
     fitted, failed = {axis.name for axis in axes}, {failure.place for failure in failures}
     for finding in findings:
         if finding.axis not in fitted and (finding.code != "no-data" or finding.axis not in failed):
             yield finding
+    for failure in failures:
+        yield _no_result(failure, findings)
 
 
 @takes('imucal.screen(imucal.read("log.mcap"))', recording=Recording)

@@ -17,7 +17,7 @@ import scipy
 
 from imucal.arguments import takes
 from imucal.arrays import FloatArray
-from imucal.errors import ArgumentError, DataError
+from imucal.errors import ArgumentError, DataError, Fix
 from imucal.findings import Finding
 from imucal.fitting.bins import Bins
 from imucal.fitting.noise_fit import MISFIT, Estimate, Goodness, NoiseFit, keyed
@@ -289,4 +289,4 @@ def _refuse_different(fits: Sequence[NoiseFit]) -> None:
         else:
             continue
         where = f"fit {number} of {len(fits)}"
-        raise DataError(f"{where}: found {text[0]}, expected {text[1]} as in fit 1; {advice}")
+        raise DataError(f"found {text[0]}, expected {text[1]} as in fit 1", place=where, fix=Fix(advice))
