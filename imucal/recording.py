@@ -266,7 +266,8 @@ class Recording(Displayed):
             where = (
                 f"from {start_s:g} s on" if end_s == float("inf") else f"from {start_s:g} s to {end_s:g} s"
             )
-            raise DataError(f"{self.source.path}: no samples {where}; it lasts {longest:.6g} s")
+            problem = f"no samples {where}; it lasts {longest:.6g} s"
+            raise DataError(problem, place=self.source.path)
         temperature = self.temperature
         if temperature is not None:
             clock = temperature.clock
@@ -297,13 +298,13 @@ class Recording(Displayed):
         for series in self.series:
             if sensor in {series.sensor, series.sensor.short} and series.axis == axis:
                 return series
-        raise DataError(f"{self.source.path}: no axis {sensor} {axis}; {self._names}")
+        raise DataError(f"no axis {sensor} {axis}; {self._names}", place=self.source.path)
 
     def __getitem__(self, name: str) -> AxisSeries:
         for series in self.series:
             if series.name == name:
                 return series
-        raise MissingError(f"{self.source.path}: no axis {name!r}; {self._names}")
+        raise MissingError(f"no axis {name!r}; {self._names}", place=self.source.path)
 
     @property
     def rate_hz(self) -> float:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path, PurePosixPath
 
-from imucal.errors import SettingError
+from imucal.errors import Fix, SettingError
 
 MEMORY, THREADS = "IMUCAL_MEMORY", "IMUCAL_THREADS"
 
@@ -50,7 +50,8 @@ def size_setting(name: str, *, least: int = 1) -> int | None:
     try:
         return parse_size(text, least=least)
     except ValueError as error:
-        raise SettingError(f"{name}: found {text!r}, expected {error}; set one, or unset it") from error
+        problem = f"found {text!r}, expected {error}"
+        raise SettingError(problem, place=name, fix=Fix("set one, or unset it")) from error
 
 
 @cache

@@ -18,7 +18,7 @@ from imucal.checking.limits import (
     Side,
 )
 from imucal.comparison import paired, ratio
-from imucal.errors import LimitsError
+from imucal.errors import Fix, LimitsError
 from imucal.findings import Finding
 from imucal.frozen import frozen
 from imucal.grading import NoiseVerdict
@@ -124,11 +124,11 @@ def check(report: Report, limits: Limits, *, baseline: Report | None = None) -> 
     limits are for a calibration; ReadError if the older report can't be read.
     """
     if limits.calibration and not are_of_noise(limits):
-        msg = (
-            f"{report.source.path}: this is a noise report, and the limits are for a calibration; write "
-            "limits such as [gyroscope] N = { max = 1e-4 }, or check the folder of 'imucal calibrate'"
+        advice = (
+            "write limits such as [gyroscope] N = { max = 1e-4 }, or check the folder of 'imucal calibrate'"
         )
-        raise LimitsError(msg)
+        problem = "this is a noise report, and the limits are for a calibration"
+        raise LimitsError(problem, place=report.source.path, fix=Fix(advice))
     rows = [
         *_axes_there(report, limits),
         *chain.from_iterable(_limit(report, limit) for limit in limits.limits),

@@ -209,10 +209,10 @@ def _write_corrected(corrected: "Recording", path: Path) -> None:
     clocks = {(series.clock.segments, series.clock.start_ns, series.rate_hz) for series in corrected.series}
     if len(corrected.series) != len(Sensor) * len(AXES) or len(clocks) != 1:
         msg = (
-            f"{path}: expected a gyroscope and an accelerometer with the same time stamps; apply the "
+            "expected a gyroscope and an accelerometer with the same time stamps; apply the "
             "calibration in Python: imucal.calibrate(recording).apply(recording)"
         )
-        raise DataError(msg)
+        raise DataError(msg, place=path)
     write_log(corrected, path)
     print_note(f"Wrote {path}: the corrected log")
 

@@ -118,7 +118,7 @@ def command(
             echo(f"Error: {error}", err=True)
             failed = True
     if not described:
-        raise DataError(f"{path}: no axis can be decomposed")
+        raise DataError("no axis can be decomposed", place=path)
     document: dict[str, object] = {
         "schema": SCHEMA,
         "version": __version__,
@@ -144,7 +144,7 @@ def _only(recording: Recording, axes: tuple[str, ...]) -> Recording:
     missing = [name for name in axes if name not in {series.name for series in recording.series}]
     if missing:
         found = ", ".join(series.name for series in recording.series) or "none"
-        raise DataError(f"{recording.source.path}: no axis {', '.join(missing)}; found {found}")
+        raise DataError(f"no axis {', '.join(missing)}; found {found}", place=recording.source.path)
     return replace(recording, series=chosen)
 
 

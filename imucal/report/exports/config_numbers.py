@@ -303,11 +303,11 @@ class Numbers:
         if bounded and self.options.unidentified == "refuse":
             unit = TERMS[symbol].unit(axis.sensor)
             msg = (
-                f"{self.report.source.path}: {axis.name}: {symbol} was not detected "
+                f"{axis.name}: {symbol} was not detected "
                 f"(upper bound {estimate.high:.3g} {unit}), but {self.target} needs a value; "
                 "accept the bound, choose an axis on which it is detected, or record for longer"
             )
-            raise DataError(msg)
+            raise DataError(msg, place=self.report.source.path)
         value = factor * (estimate.high if estimate.value is None else estimate.value)
         covered = self.covers and symbol in COVERING
         return Number(
@@ -422,10 +422,10 @@ class Numbers:
         if math.isfinite(value) and value > 0:
             return value
         msg = (
-            f"{self.report.source.path}: {name}: {symbol} is {value}, but {self.target} needs a positive "
+            f"{name}: {symbol} is {value}, but {self.target} needs a positive "
             "number; choose another axis, or a model with this term"
         )
-        raise DataError(msg)
+        raise DataError(msg, place=self.report.source.path)
 
     def _missing(self, what: str) -> DataError:
         found = ", ".join(axis.name for axis in self.report.axes) or "no axis"
