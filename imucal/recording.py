@@ -1,6 +1,6 @@
 """Sensors, axes and recordings, always in SI units."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Literal, TypeAlias
@@ -203,14 +203,20 @@ def span_ns(series: Iterable[AxisSeries]) -> tuple[int, int] | None:
     return (min(spans)[0], max(start + round(length * 1e9) for start, length in spans)) if spans else None
 
 
+#: Value of the unit of samples that stay raw counts.
+RAW_COUNTS = "count"
+
+
 @frozen
 class Source:
     """The origin of a recording: the path of the log, and its format such as ``rosbag2-mcap``.
 
     `topics` and `message_types` are pairs; for a table, `topics` contains column names and there are no
     types. `decisions` contains each choice and its reason, such as ``("gyroscope unit", "deg/s, from the
-    column header")``. `files` contains sizes and checksums: always for standard input, otherwise on request.
-    `read` is the range that was read; None for the whole log.
+    column header")``. `values` are answers without reasons, for programs: frame, layout and units, such as
+    ``{"gyroscope unit": "deg/s"}``; reports do not contain them. `files` contains sizes and checksums:
+    always for standard input, otherwise on request. `read` is the range that was read; None for the whole
+    log.
     """
 
     path: str
@@ -218,6 +224,7 @@ class Source:
     topics: tuple[str, ...] = ()
     message_types: tuple[str, ...] = ()
     decisions: tuple[tuple[str, str], ...] = ()
+    values: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)
     files: tuple[LogFileInfo, ...] = ()
     read: ReadRange | None = None
 

@@ -49,13 +49,11 @@ from imucal.clock import seconds_of
 from imucal.errors import ArgumentError, DataError, Fix
 from imucal.frozen import frozen_alone
 from imucal.noise import TERMS, NoiseModel
-from imucal.recording import ReadRange, Recording, Sensor
+from imucal.recording import RAW_COUNTS, ReadRange, Recording, Sensor
 from imucal.report.result import Report
 
 __all__ = ["calibrate"]
 
-#: How a reader reports raw counts; other scales than 1 give SI units.
-_COUNTS = "count, 1 "
 #: Median length of samples in m/s² of a log of rests and turns.
 _LIKE_GRAVITY = (6.5, 14.7)
 #: Largest share of rests excluded as moved.
@@ -284,8 +282,8 @@ def _accelerometer_is_si(recording: Recording, data: Triad) -> bool:
 
 def _said_si(recording: Recording, sensor: Sensor) -> bool | None:
     """Return whether samples are in SI units, as decided when they were read; None without a reader."""
-    unit = dict(recording.source.decisions).get(f"{sensor} unit")
-    return None if unit is None else not unit.startswith(_COUNTS)
+    unit = recording.source.values.get(f"{sensor} unit")
+    return None if unit is None else unit != RAW_COUNTS
 
 
 def _first_fit(data: Triad, rests: RestMeans, place: Gravity, *, si: bool) -> AccelerometerFit:
