@@ -170,7 +170,7 @@ def _no_result(error: DataError, findings: Sequence[Finding]) -> Finding:
 def _of_no_result(
     findings: Sequence[Finding], axes: Sequence[AxisReport], failures: Sequence[DataError]
 ) -> Iterator[Finding]:
-    """Yield the findings that belong to no result, then the failures, which replace `no-data` of their axes."""
+    """Yield the findings without a result, then the failures, which replace `no-data` of their axes."""
     fitted, failed = {axis.name for axis in axes}, {failure.place for failure in failures}
     for finding in findings:
         if finding.axis not in fitted and (finding.code != "no-data" or finding.axis not in failed):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import click
 
 from imucal.cli.context import is_set
-from imucal.errors import DataError
+from imucal.errors import DataError, Fix
 from imucal.findings import Finding, options_to_keep
 from imucal.grading import NoiseVerdict
 from imucal.printable import printable, printable_json
@@ -169,12 +169,11 @@ def refuse(
     """
     if not verdict.usable and not is_set("force"):
         sentence = verdict.sentence[0].lower() + verdict.sentence[1:]
-        msg = f"{where}: {sentence}; {consequence}; {remedy}"
+        error = DataError(f"{sentence}; {consequence}", place=where, fix=Fix(remedy))
     elif is_set("strict") and (codes := {f.code: None for f in findings if f.level != "info"}):
-        msg = f"{where}: {', '.join(codes)} found; --strict allows no warning"
+        error = DataError(f"{', '.join(codes)} found; --strict allows no warning", place=where)
     else:
         return
-    error = DataError(msg)
     error.printed = printed
     raise error
 

@@ -221,10 +221,10 @@ def _end(verdict: str, where: str, codes: list[str]) -> None:
     """End with exit code 4 if the result is not usable, or if --strict forbids a warning."""
     listed = ", ".join(dict.fromkeys(codes))
     if verdict == "not-usable" and not is_set("force"):
-        advice = "try --no-gyro for the accelerometer alone, or --force"
-        error = DataError(f"{where}: {listed} found; nothing was written; {advice}")
+        fix = Fix("try --no-gyro for the accelerometer alone, or --force")
+        error = DataError(f"{listed} found; nothing was written", place=where, fix=fix)
     elif codes and is_set("strict"):
-        error = DataError(f"{where}: {listed} found; --strict allows no warning")
+        error = DataError(f"{listed} found; --strict allows no warning", place=where)
     else:
         return
     error.printed = True

@@ -11,7 +11,7 @@ from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
-from imucal.errors import DataError
+from imucal.errors import DataError, Fix
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.frozen import frozen, frozen_alone
 from imucal.noise.model import NoiseModel
@@ -429,11 +429,11 @@ class Numbers:
 
     def _missing(self, what: str) -> DataError:
         found = ", ".join(axis.name for axis in self.report.axes) or "no axis"
-        msg = (
-            f"{self.report.source.path}: no {what}, which {self.target} needs; found {found}; use a log with "
-            "all axes of both sensors"
+        return DataError(
+            f"no {what}, which {self.target} needs; found {found}",
+            place=self.report.source.path,
+            fix=Fix("use a log with all axes of both sensors"),
         )
-        return DataError(msg)
 
 
 def flicker_bank(B: float, shortest_s: float, longest_s: float) -> tuple[GaussMarkov, ...]:
