@@ -269,7 +269,8 @@ def _bins_of(fits: Sequence[NoiseFit]) -> list[Bins]:
         if fit.bins is None:
             which = f"fit {number} of {len(fits)} ({fit.method})"
             advice = "fit the samples of each record with imucal.fit; a report.json contains no bins"
-            raise DataError(f"{which}: found no bins, expected the bins of method 'mle'; {advice}")
+            problem = "found no bins, expected the bins of method 'mle'"
+            raise DataError(problem, place=which, fix=Fix(advice))
     return [fit.bins for fit in fits if fit.bins is not None]
 
 

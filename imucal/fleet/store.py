@@ -220,7 +220,7 @@ class FleetStore:
     def refuse_damage(self) -> None:
         """Raise `StoreError` if a part is damaged."""
         for part in self.damaged():
-            raise StoreError(f"{part}: {_NOT_WHOLE}; run the fleet again to repeat its logs")
+            raise StoreError(_NOT_WHOLE, place=part, fix=Fix("run the fleet again to repeat its logs"))
 
     def mend(self) -> list[Path]:
         """Remove damaged batches, so that their logs are repeated; return the damaged parts."""
@@ -260,7 +260,8 @@ class FleetStore:
             found = rows.collect(engine="streaming")
         except (OSError, pl.exceptions.PolarsError) as error:
             why = (str(error) or type(error).__name__).splitlines()[0]
-            raise StoreError(f"{self.folder / table}: can't be read ({why}); run the fleet again") from error
+            problem = f"can't be read ({why})"
+            raise StoreError(problem, place=self.folder / table, fix=Fix("run the fleet again")) from error
         return found.with_columns(pl.col("part").str.split("/").list.last())
 
 

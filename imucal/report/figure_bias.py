@@ -12,7 +12,7 @@ import numpy as np
 from imucal._version import __version__
 from imucal.arrays import FloatArray
 from imucal.atomic import make_folder, replacing
-from imucal.errors import WriteError
+from imucal.errors import Fix, WriteError
 from imucal.fitting.decomposition import Decomposition
 from imucal.fitting.wiener import Component
 from imucal.noise.term import Stroke
@@ -174,15 +174,16 @@ def check_folder(out: Path) -> None:
     try:
         held, home = held_by(out), home_of(out)
     except OSError as error:
-        msg = f"{out}: can't be read: {error.strerror or error}; choose another folder"
-        raise WriteError(msg) from error
+        problem = f"can't be read: {error.strerror or error}"
+        raise WriteError(problem, place=out, fix=Fix("choose another folder")) from error
     if held and not (out / DOCUMENT).exists():
-        raise WriteError(f"{out}: contains {held} but no imucal decomposition; choose another folder")
+        problem = f"contains {held} but no imucal decomposition"
+        raise WriteError(problem, place=out, fix=Fix("choose another folder"))
     if not (home.is_dir() and os.access(home, os.W_OK | os.X_OK)):
-        message = f"can't be created: {home} is not writable; choose another folder"
+        problem = f"can't be created: {home} is not writable"
         if home is out:
-            message = "is not writable; choose another folder"
-        raise WriteError(f"{out}: {message}")
+            problem = "is not writable"
+        raise WriteError(problem, place=out, fix=Fix("choose another folder"))
 
 
 def write_decomposition(
