@@ -104,6 +104,10 @@ class ImucalError(Exception):
         inner = _below(self.place, str(outer))
         return self.at(_placed(str(outer), inner) if inner else outer)
 
+    def below(self, outer: object) -> Self:
+        """Return the error with its place relative to an outer place, for a reader who knows that one."""
+        return self.at(_below(self.place, str(outer)))
+
     def with_fixes(self, *fixes: Fix) -> Self:
         """Return the error with further ways to fix it."""
         return self._with(fixes=(*self.fixes, *fixes))

@@ -73,10 +73,10 @@ def at_rest(recording: Recording) -> Recording:
     if not rests:
         longest = max((one.length_s for one in stretches), default=0.0)
         msg = (
-            f"{recording.source.path}: found no rest of at least {_SHORTEST_S:g} s in "
-            f"{duration(duration_s)}, the longest being {duration(longest)}; leave the IMU alone for longer"
+            f"found no rest of at least {_SHORTEST_S:g} s in {duration(duration_s)}, "
+            f"the longest being {duration(longest)}; leave the IMU alone for longer"
         )
-        raise DataError(msg)
+        raise DataError(msg, place=recording.source.path)
     first = rests[0].start_s
     part = recording.between(first, rests[-1].end_s)
     spans = [(one.start_s - first, one.end_s - first) for one in rests]

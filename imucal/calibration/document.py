@@ -11,7 +11,7 @@ from imucal.arrays import FloatArray, ReadOnlyArrays
 from imucal.calibration.frames import FRAMES, rotation_to
 from imucal.calibration.parameters import Parameter, inverse, is_si
 from imucal.calibration.result import AccelerometerResult, Calibration, GyroscopeResult
-from imucal.errors import ReadError
+from imucal.errors import Fix, ReadError
 from imucal.frozen import frozen_alone
 from imucal.report.json_node import JsonObject, Node, picked, plain
 
@@ -145,7 +145,8 @@ def load_calibration(path: Path) -> Node:
     try:
         root = Node(json.loads(file.read_bytes()), str(file))
     except (OSError, ValueError) as error:
-        raise ReadError(f"{file}: can't be read ({error}); run 'imucal calibrate' again") from error
+        problem = f"can't be read ({error})"
+        raise ReadError(problem, place=file, fix=Fix("run 'imucal calibrate' again")) from error
     root["schema"].text(SCHEMA)
     return root
 

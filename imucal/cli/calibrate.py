@@ -209,10 +209,10 @@ def _write_corrected(corrected: "Recording", path: Path) -> None:
     clocks = {(series.clock.segments, series.clock.start_ns, series.rate_hz) for series in corrected.series}
     if len(corrected.series) != len(Sensor) * len(AXES) or len(clocks) != 1:
         msg = (
-            f"{path}: expected a gyroscope and an accelerometer with the same time stamps; apply the "
+            "expected a gyroscope and an accelerometer with the same time stamps; apply the "
             "calibration in Python: imucal.calibrate(recording).apply(recording)"
         )
-        raise DataError(msg)
+        raise DataError(msg, place=path)
     write_log(corrected, path)
     print_note(f"Wrote {path}: the corrected log")
 
@@ -221,10 +221,10 @@ def _end(verdict: str, where: str, codes: list[str]) -> None:
     """End with exit code 4 if the result is not usable, or if --strict forbids a warning."""
     listed = ", ".join(dict.fromkeys(codes))
     if verdict == "not-usable" and not is_set("force"):
-        advice = "try --no-gyro for the accelerometer alone, or --force"
-        error = DataError(f"{where}: {listed} found; nothing was written; {advice}")
+        fix = Fix("try --no-gyro for the accelerometer alone, or --force")
+        error = DataError(f"{listed} found; nothing was written", place=where, fix=fix)
     elif codes and is_set("strict"):
-        error = DataError(f"{where}: {listed} found; --strict allows no warning")
+        error = DataError(f"{listed} found; --strict allows no warning", place=where)
     else:
         return
     error.printed = True

@@ -149,7 +149,7 @@ def _only(recording: Recording, axes: tuple[str, ...]) -> Recording:
     missing = [name for name in axes if name not in {series.name for series in recording.series}]
     if missing:
         found = ", ".join(series.name for series in recording.series) or "none"
-        raise DataError(f"{recording.source.path}: no axis {', '.join(missing)}; found {found}")
+        raise DataError(f"no axis {', '.join(missing)}; found {found}", place=recording.source.path)
     return replace(recording, series=chosen)
 
 

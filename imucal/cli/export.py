@@ -49,12 +49,9 @@ _TITLES = {target.name: target.title for target in exports.TARGETS.values()}
 
 
 def _target_name(text: str) -> str:
-    """Return the name as typed; a ValueError if it is neither a downstream format nor all."""
+    """Return the name as typed; an ArgumentError if it is neither a downstream format nor all."""
     if text != "all" and name_key(text) not in map(name_key, CALIBRATION_TARGETS):
-        try:
-            exports.find_target(text)
-        except ValueError as error:
-            raise ValueError(f"{error}, all") from error
+        exports.find_target(text, others=["all"])
     return text
 
 

@@ -368,7 +368,7 @@ def _parsed(file: Path, expected: str) -> object:
         wrong = f"can't be read ({error.strerror})"
     except (ValueError, RecursionError) as error:
         wrong = f"not JSON ({error})"
-    raise ReadError(f"{file}: {wrong}, expected {expected}")
+    raise ReadError(f"{wrong}, expected {expected}", place=file)
 
 
 def from_document(document: object, *, file: str = "report") -> Report:

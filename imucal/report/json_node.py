@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray
-from imucal.errors import ReadError
+from imucal.errors import Fix, ReadError
 from imucal.printable import printable_json
 from imucal.recording import Sensor
 
@@ -46,7 +46,7 @@ class Node:
 
     def fail(self, found: str, expected: str) -> NoReturn:
         where = f"{self.file}: {self.place}" if self.place else self.file
-        raise ReadError(f"{where}: {found}, expected {expected}; write the report again")
+        raise ReadError(f"{found}, expected {expected}", place=where, fix=Fix("write the report again"))
 
     def table(self) -> JsonObject:
         return self._of("an object", dict)

@@ -41,14 +41,14 @@ def check_no_data(profile: Profile) -> tuple[Finding, ...]:
         return ()
     code = "no-data"
     if not series.n:
-        text = f"{series.name} has no finite sample."
+        text = "No sample is finite."
         advice = "Check the driver or the choice of columns."
     elif first == 0:
-        text = f"{series.name} is 0 in all of its {series.n} samples: the driver does not fill it."
+        text = f"All {series.n} samples are 0: the driver does not fill this axis."
         advice = "Read this sensor from another topic or column."
     else:
         code = "stuck"
-        text = f"{series.name} never changes: all of its {series.n} samples are {first:.6g} {series.unit}."
+        text = f"The axis never changes: all {series.n} samples are {first:.6g} {series.unit}."
         advice = "Check the sensor and its driver; this axis can't be used."
     return (Finding("error", code, text, advice, axis=series.name),)
 
@@ -61,10 +61,7 @@ def check_not_finite(profile: Profile) -> tuple[Finding, ...]:
     share = count / (count + series.n)
     samples, are = ("sample", "is") if count == 1 else ("samples", "are")
     level: Level = "warning" if share > _MANY else "info"
-    text = (
-        f"{count} {samples} of {series.name} ({share:.2g} of all) {are} NaN, infinite or absurdly large and "
-        "left out."
-    )
+    text = f"{count} {samples} ({share:.2g} of all) {are} NaN, infinite or absurdly large and left out."
     return (Finding(level, "not-finite", text, "Check the driver.", axis=series.name),)
 
 
@@ -79,7 +76,7 @@ def check_stuck(profile: Profile) -> tuple[Finding, ...]:
     if by_chance > _FALSE_ALARM:
         return ()
     total, first = frozen.sum() * windows.length_s, windows.time_s[int(frozen.argmax())]
-    text = f"{series.name} is stuck at one value for {duration(total)} in all, first at {first:.1f} s."
+    text = f"The axis is stuck at one value for {duration(total)} in all, first at {first:.1f} s."
     advice = "Check the driver and the cable; leave these parts out."
     edges = np.flatnonzero(np.concatenate([[True], frozen, [True]]))
     longest = int(np.diff(edges).argmax())
@@ -105,8 +102,8 @@ def check_saturated(profile: Profile) -> tuple[Finding, ...]:
         at_limit, next_to_it = _counts(profile, index, limit)
         if at_limit >= _MIN_AT_LIMIT and at_limit > _LIMIT_RATIO * next_to_it:
             text = (
-                f"{series.name} is at its {word} value, {amount(limit, series.sensor)}, {at_limit} times: it "
-                f"is saturated, first at {windows.time_s[index[0]]:.1f} s."
+                f"The axis is at its {word} value, {amount(limit, series.sensor)}, {at_limit} times: it is "
+                f"saturated, first at {windows.time_s[index[0]]:.1f} s."
             )
             advice = "Choose a larger range of the sensor, or leave these parts out."
             return (Finding("warning", "saturated", text, advice, axis=series.name),)
@@ -189,7 +186,7 @@ def check_lsb(profile: Profile) -> tuple[Finding, ...]:
     noise = max(0.0, profile.noise**2 - lsb**2 / 12) ** 0.5
     figure = f"about {noise / lsb:.1f}" if noise > 0.2 * lsb else "less than 0.2"
     text = (
-        f"The steps of {series.name}, {amount(lsb, series.sensor)}, are coarse: its noise is "
+        f"The steps of the axis, {amount(lsb, series.sensor)}, are coarse: its noise is "
         f"{figure} LSB, and rounding distorts N and hides slow changes."
     )
     advice = "Choose a smaller range of the sensor, log more digits, or average less before logging."

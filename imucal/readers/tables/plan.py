@@ -83,6 +83,11 @@ class TablePlan:
     findings: tuple[Finding, ...] = ()
 
     @property
+    def layout(self) -> str:
+        """The name of the dialect; empty if there is none."""
+        return self.dialect.name if self.dialect else ""
+
+    @property
     def topics(self) -> tuple[str, ...]:
         return tuple(header for sensor in self.sensors for header in sensor.triad.headers)
 

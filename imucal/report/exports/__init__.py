@@ -1,9 +1,11 @@
 """The downstream files of filters and simulators: a table of formats, each defined in a TOML file."""
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 from imucal.atomic import write_configs
+from imucal.errors import ArgumentError, Fix
 from imucal.report.exports.config_numbers import DEFAULT_OPTIONS, ExportOptions
 from imucal.report.exports.target import Target, name_key, read_targets
 from imucal.report.result import Report
@@ -42,8 +44,11 @@ _OTHERS = {
 }
 
 
-def find_target(name: str) -> Target:
-    """Return a format by its name or an alias; raises ValueError with the nearest name."""
+def find_target(name: str, *, others: Iterable[str] = ()) -> Target:
+    """Return a format by its name or an alias.
+
+    Raises ArgumentError with the nearest name. Its list of names includes `others`, which the caller accepts.
+    """
     by_key = {
         name_key(each): target for target in TARGETS.values() for each in (target.name, *target.aliases)
     }
@@ -52,7 +57,8 @@ def find_target(name: str) -> Target:
         near = [target.name for key, target in by_key.items() if _is_slip(name_key(name), key)]
         meant = f"did you mean {near[0]}? " if near else ""
         text = f"{_OTHERS[name_key(name)]}; " if name_key(name) in _OTHERS else meant
-        raise ValueError(f"no downstream format {name!r}; {text}choose one of {', '.join(TARGETS)}")
+        fix = Fix(f"{text}choose one of {', '.join([*TARGETS, *others])}", "target")
+        raise ArgumentError(f"no downstream format {name!r}", fix=fix)
     return found
 
 
