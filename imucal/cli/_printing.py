@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, TypeAlias
 import click
 
 from imucal.cli.context import is_set
-from imucal.errors import DataError, Fix
+from imucal.errors import DataError
 from imucal.findings import Finding, options_to_keep
-from imucal.grading import NoiseVerdict
+from imucal.grading import NoiseVerdict, refusal
 from imucal.printable import printable, printable_json
 
 if TYPE_CHECKING:
@@ -155,23 +155,21 @@ def name_of_log(log: str) -> str:
 
 def refuse(
     verdict: NoiseVerdict,
-    where: str,
-    consequence: str,
+    findings: Sequence[Finding],
     *,
-    findings: Sequence[Finding] = (),
-    remedy: str = "record again at rest, or --force",
+    place: object,
+    consequence: str,
     printed: bool = False,
 ) -> None:
     """Raise a DataError, exit code 4, if data are not noise at rest (unless forced) or --strict forbids them.
 
-    --strict forbids warnings and errors among the `findings`. The message contains `where`, the `consequence`
-    (such as whether a file was written) and the `remedy`. `printed`: the results were already printed.
+    --strict forbids warnings and errors among the `findings`. The message contains the `place` and the
+    `consequence`, such as whether a file was written. `printed`: the results were already printed.
     """
     if not verdict.usable and not is_set("force"):
-        sentence = verdict.sentence[0].lower() + verdict.sentence[1:]
-        error = DataError(f"{sentence}; {consequence}", place=where, fix=Fix(remedy))
+        error = refusal(verdict, findings, place=place, consequence=consequence)
     elif is_set("strict") and (codes := {f.code: None for f in findings if f.level != "info"}):
-        error = DataError(f"{', '.join(codes)} found; --strict allows no warning", place=where)
+        error = DataError(f"{', '.join(codes)} found; --strict allows no warning", place=place)
     else:
         return
     error.printed = printed

@@ -13,7 +13,7 @@ from imucal.cli.options import ADVANCED, OUTPUT, Command, flag, force, level, lo
 from imucal.cli.param_types import TAUS
 from imucal.errors import DataError
 from imucal.findings import Finding, as_sentence
-from imucal.grading import judge_findings, remedy
+from imucal.grading import judge_findings
 from imucal.recording import AxisSeries, Recording
 
 _EPILOG = unwrapped("""
@@ -101,7 +101,7 @@ def command(
     if verdict.usable:
         print_note(verdict.sentence)
     path = recording.source.path
-    refuse(verdict, path, "the curves were printed", findings=findings, remedy=remedy(findings), printed=True)
+    refuse(verdict, findings, place=path, consequence="the curves were printed", printed=True)
 
 
 def _findings(recording: Recording, failures: dict[str, DataError]) -> list[Finding]:

@@ -12,7 +12,6 @@ from imucal.cli._printing import (
     print_findings,
     print_note,
     progress,
-    refuse,
     width,
     wrapped,
 )
@@ -24,7 +23,7 @@ from imucal.cli.options import OUTPUT, Command, context_flag, flag, log_options,
 from imucal.cli.param_types import ANGLE, DURATION, PATH, Number
 from imucal.cli.simulate import log_to_write
 from imucal.errors import ChoiceError, DataError, Fix, ImucalError
-from imucal.grading import remedy
+from imucal.grading import refusal
 from imucal.printable import printable_json
 from imucal.recording import AXES, Sensor
 
@@ -177,7 +176,8 @@ def _with_counts(error: ImucalError) -> ImucalError:
 def _noise_report(path: Path) -> "Report":
     """Load the report of the noise; refuse data that are not noise at rest, unless forced."""
     report = read_report(path)
-    refuse(report.verdict, str(path), "nothing was calibrated", remedy=remedy(report.all_findings))
+    if not (report.verdict.usable or is_set("force")):
+        raise refusal(report.verdict, report.all_findings, place=path, consequence="nothing was calibrated")
     return report
 
 

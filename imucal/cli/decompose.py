@@ -26,7 +26,6 @@ from imucal.cli.options import (
 )
 from imucal.cli.param_types import DURATION
 from imucal.errors import DataError
-from imucal.grading import remedy
 from imucal.recording import AxisSeries, Recording, Sensor
 
 if TYPE_CHECKING:
@@ -138,7 +137,7 @@ def command(
     for written in files.paths:
         print_note(written)
     findings = report.all_findings
-    refuse(report.verdict, path, f"{folder.path} was written", findings=findings, remedy=remedy(findings))
+    refuse(report.verdict, findings, place=path, consequence=f"{folder.path} was written")
     if failed:
         click.get_current_context().exit(DataError.exit_code)
 

@@ -119,7 +119,7 @@ def test_one_bad_axis_does_not_hide_the_others(tmp_path: Path) -> None:
     assert {row["axis"] for row in _table(done.stdout)} == {"gyro_x", "gyro_y"}
     assert done.stderr == (
         "Error: log.csv: not noise: no result on gyro_z; 2 of 3 axes are stationary noise; "
-        "the curves were printed; record again at rest, or --force\n"
+        "the curves were printed; record again at rest, or force it\nUse --force.\n"
     )
     said = run("adev", "log.csv", "--gyro-unit", "rad/s", "--force", cwd=tmp_path)
     assert (said.returncode, said.stdout) == (0, done.stdout)

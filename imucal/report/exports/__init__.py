@@ -5,8 +5,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from imucal.atomic import write_configs
-from imucal.errors import ArgumentError, Fix
-from imucal.report.exports.config_numbers import DEFAULT_OPTIONS, ExportOptions
+from imucal.errors import ArgumentError, DataError, Fix
+from imucal.grading import FORCE, refusal
+from imucal.report.exports.config_numbers import DEFAULT_OPTIONS, ExportOptions, vague_axes
 from imucal.report.exports.target import Target, name_key, read_targets
 from imucal.report.result import Report
 
@@ -16,6 +17,7 @@ __all__ = [
     "ExportOptions",
     "export",
     "find_target",
+    "refuse_unsound",
     "render",
 ]
 
@@ -34,6 +36,7 @@ FAMILIES: dict[str, tuple[Target, ...]] = {
 #: Name of a format -> the format.
 TARGETS: dict[str, Target] = {target.name: target for family in FAMILIES.values() for target in family}
 
+_NOTHING = "nothing was exported"
 #: Names of other programs -> text of the error message.
 _OTHERS = {
     "isaac": "Isaac ROS is isaac-ros, Isaac Sim is isaac-sim",
@@ -65,6 +68,19 @@ def find_target(name: str, *, others: Iterable[str] = ()) -> Target:
 def render(report: Report, target: str, options: ExportOptions = DEFAULT_OPTIONS) -> str:
     """Return the text of a downstream file; options and errors as in `export`."""
     return find_target(target).render(report, options)
+
+
+def refuse_unsound(report: Report, *, place: object) -> None:
+    """Raise a DataError if a filter must not use a report.
+
+    It is not noise at rest, or N of an axis is uncertain by more than a factor of 10.
+    """
+    if not report.verdict.usable:
+        raise refusal(report.verdict, report.all_findings, place=place, consequence=_NOTHING)
+    axes = vague_axes(report)
+    if axes:
+        problem = f"N of {', '.join(axes)} is uncertain by more than a factor of 10; {_NOTHING}"
+        raise DataError(problem, place=place, fixes=(Fix("record for longer"), FORCE), code="uncertain")
 
 
 def export(
