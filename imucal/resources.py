@@ -12,7 +12,10 @@ from pathlib import Path, PurePosixPath
 from imucal.errors import Fix, SettingError
 from imucal.user_input import bytes_of
 
-MEMORY, THREADS = "IMUCAL_MEMORY", "IMUCAL_THREADS"
+#: Environment variable with the limit of the memory.
+MEMORY = "IMUCAL_MEMORY"
+#: Environment variable with the number of threads.
+THREADS = "IMUCAL_THREADS"
 
 #: Memory of one step, in bytes, if the machine's memory is unknown.
 _UNKNOWN = 2_000_000_000

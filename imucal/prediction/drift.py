@@ -32,8 +32,10 @@ from imucal.prediction.propagation import (
 from imucal.recording import Sensor
 from imucal.units import G0
 
-#: Default durations of dead reckoning and of the rest before it, in s.
-TIMES_S, REST_S = (1.0, 10.0, 60.0, 300.0), 60.0
+#: Default durations of dead reckoning, in s.
+TIMES_S = (1.0, 10.0, 60.0, 300.0)
+#: Default duration of the rest before it, in s.
+REST_S = 60.0
 #: Cause of an error -> its spelling behind the kind.
 _THROUGH = {
     "": "",
@@ -45,8 +47,10 @@ _THROUGH = {
 STRETCHES = 5
 #: Largest ratio of rest and coast: the shorter one then has a dozen blocks.
 _MAX_RATIO = 2e4
-#: Relative tolerance of g at rest; cosine of the largest tilt of a vertical axis.
-_NEAR_G, _UPRIGHT = 0.1, 0.94
+#: Relative tolerance of g at rest.
+_NEAR_G = 0.1
+#: Cosine of the largest tilt of a vertical axis.
+_UPRIGHT = 0.94
 
 
 @frozen

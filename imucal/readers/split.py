@@ -19,8 +19,10 @@ from imucal.resources import column_limit
 
 #: Longest pause between two parts, in s.
 _MAX_PAUSE_S = 10.0
-#: Largest overlap of two parts: in samples, or in s.
-_SAMPLES_OVER, _TIME_OVER = 10, 0.1
+#: Largest overlap of two parts, in samples.
+_SAMPLES_OVER = 10
+#: Largest overlap of two parts, in s, if it is more.
+_TIME_OVER = 0.1
 #: File extensions, and the number that log rotation appends.
 _ENDINGS = re.compile(
     r"(?:\.(?:csv|tsv|txt|log|dat|mcap|db3|bag|active|ulg|parquet|npz|npy|mat|gz|bz2|xz|lz4|zst|zstd))+"

@@ -32,10 +32,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Inches.
-_HEIGHT, _HEAD, _FOOT, _SPACE = 4.3, 0.75, 0.75, 0.62
-#: Points of a line, and space for the first label as a fraction of the axis.
-_POINTS, _ROOM = 25, 0.36
+#: Inches: height of a picture, of its head and of its foot, and space for the labels left of a curve.
+_HEIGHT = 4.3
+_HEAD = 0.75
+_FOOT = 0.75
+_SPACE = 0.62
+#: Points of a line.
+_POINTS = 25
+#: Space for the first label, as a fraction of the axis.
+_ROOM = 0.36
 _PARTS = {"accelerometer": AXES["x"], "tilt": AXES["z"]}
 
 

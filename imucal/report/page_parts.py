@@ -138,10 +138,17 @@ def _curve_rows(axis: AxisReport) -> Iterator[_Row]:
         yield f"{curve.tau[i]:.6g}", cells
 
 
-#: User units of the SVG.
-_WIDTH, _ROW, _LEFT, _RIGHT, _TOP, _BOTTOM = 640, 86, 56, 12, 24, 22
-#: Of the half-height of a row, as a logarithm and as a ratio.
-_MIN_HEIGHT, _MAX_HEIGHT = 0.02, 4.0
+#: Sizes of the SVG in its own units: its width, the height of a row, and the margins.
+_WIDTH = 640
+_ROW = 86
+_LEFT = 56
+_RIGHT = 12
+_TOP = 24
+_BOTTOM = 22
+#: Least half-height of a row, as a logarithm: smaller changes look like none.
+_MIN_HEIGHT = 0.02
+#: Largest half-height of a row, as a ratio.
+_MAX_HEIGHT = 4.0
 _MARKS = 6
 
 

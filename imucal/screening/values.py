@@ -17,8 +17,10 @@ from imucal.units import G0, duration
 
 #: Probability that noise repeats one value through a window by chance.
 _FALSE_ALARM = 1e-6
-#: Clipping: least number of samples at the extreme value, and in multiples of the next value's.
-_MIN_AT_LIMIT, _LIMIT_RATIO = 8, 5.0
+#: Least number of samples at the extreme value of a clipped axis.
+_MIN_AT_LIMIT = 8
+#: The same in multiples of the number of samples at the next value.
+_LIMIT_RATIO = 5.0
 #: Distance of an extreme from the middle, in steps, up to which it is due to a coarse resolution.
 _MIN_STEPS = 4.0
 #: Fraction of samples that are not finite from which they are a warning.
@@ -222,8 +224,10 @@ def _correlation(one: Profile, two: Profile) -> float:
 _GRAVITY = (0.8 * G0, 1.2 * G0)
 #: Length, in m/s², below which there is no gravity in any unit.
 _NO_GRAVITY = 0.3
-#: Largest mean vector without gravity, and smallest deviation of a moving accelerometer, in m/s².
-_WEIGHTLESS, _SHAKEN = 0.3 * G0, 0.3
+#: Largest mean vector without gravity, in m/s².
+_WEIGHTLESS = 0.3 * G0
+#: Smallest deviation of a moving accelerometer, in m/s².
+_SHAKEN = 0.3
 #: Largest bias of a gyroscope, in rad/s.
 _BIASED = 0.4
 
@@ -360,8 +364,10 @@ def _gyroscope_reason(gyro: Sequence[Profile]) -> str | None:
     return None
 
 
-#: Lowest and highest rate, in Hz, of averages and of bench instruments.
-_SLOWEST, _FASTEST = 0.5, 150e3
+#: Lowest rate, in Hz, of averaged logs.
+_SLOWEST = 0.5
+#: Highest rate, in Hz, of bench instruments.
+_FASTEST = 150e3
 #: Highest rate of MEMS sensors, in Hz, with a margin for their clocks.
 _FASTEST_MEMS = 40e3
 

@@ -25,8 +25,10 @@ Value = TypeVar("Value")
 
 #: Signature of a write-ahead log.
 _WAL = b"\x37\x7f\x06"
-#: Average bytes per task, and fewest rows.
-_PART, _ROWS = 1 << 22, 256
+#: Average bytes of a task.
+_PART = 1 << 22
+#: Fewest rows of a task.
+_ROWS = 256
 #: Rows fetched at once; more is slower.
 _FETCH = 1024
 #: Damaged ranges are halved down to this many rows.

@@ -45,8 +45,10 @@ _RATE_TOLERANCE = 0.1
 
 _SECOND = 10**9
 
-#: Above any sensor's rate; and about 30 years, within 64 bits.
-_MAX_RATE_HZ, _MAX_TIME_NS = 1e6, 1e18
+#: Above any sensor's rate.
+_MAX_RATE_HZ = 1e6
+#: About 30 years, within 64 bits.
+_MAX_TIME_NS = 1e18
 
 #: Usual rate of an IMU, in Hz, with which units are inferred if the rate is unknown.
 _USUAL_RATE_HZ = 100.0

@@ -32,8 +32,10 @@ Basis: TypeAlias = Literal["covered", "as-fitted"]
 #: Name of an inflation -> symbols of its terms.
 INFLATABLE: dict[str, tuple[str, ...]] = {"white": ("N",), "walk": ("K",), "flicker": ("B", "GM")}
 COVERING = ("N", "K")
-#: States per decade of a flicker bank, and ratio of the time of equal white noise to its shortest T.
-_PER_DECADE, _MARGIN = 1.5, 10.0
+#: States per decade of a flicker bank.
+_PER_DECADE = 1.5
+#: Ratio of the time at which white noise equals the flicker to the shortest T of the bank.
+_MARGIN = 10.0
 #: At a larger ratio of its limits, N is too uncertain for a filter.
 _VAGUE = 10.0
 #: Correlation time if none was measured, in s: long enough that a random walk stays one.
