@@ -22,6 +22,15 @@ EXIT_CODES = {
 }
 
 
+#: Code of an error that programs tell apart -> its meaning.
+ERROR_CODES = {
+    "not-noise": "the log is not noise at rest, so its numbers are not used",
+    "uncertain": "N is uncertain by more than a factor of 10",
+    "no-result": "no axis could be fitted",
+    "only-times": "a file of a table contains times and no samples",
+}
+
+
 @dataclass(frozen=True, slots=True)
 class Fix:
     """One way to fix a problem.
