@@ -24,7 +24,7 @@ BINS_VERSION = 1
 class Bins(ReadOnlyArrays):
     """The binned DCT ordinates of an axis: sums of squares, and of products with the regressors.
 
-    The samples form k unbroken blocks of lengths `n`, shape (k,), whose bins follow each other; `start`,
+    The samples form unbroken blocks of k lengths `n`, shape (k,), whose bins follow each other; `start`,
     shape (k,), is the index of each block's first bin. A bin begins with the ordinate `first`, shape (b,),
     and ends where the next bin begins. It has `size` degrees of freedom and `power`, the sum of its squared
     ordinates in units of `scale`².

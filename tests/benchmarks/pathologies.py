@@ -206,6 +206,13 @@ def lost(share: float, burst: int = 1) -> Callable[[Samples, np.random.Generator
     return stamps
 
 
+def trials(t: Samples, rng: np.random.Generator) -> tuple[Samples, Samples]:
+    """Keep runs of 100 samples, with pauses of 300 to 2650 samples between them."""
+    starts = np.cumsum(rng.integers(400, 2750, 1 + t.size // 400))
+    keep = np.isin(np.arange(t.size), (starts[:, np.newaxis] + np.arange(100)).ravel())
+    return keep, t[keep]
+
+
 stamped("3 clock of 4 ms at 200 Hz", ticks(0.004), rate_hz=200.0)
 stamped("3 clock of 8 ms at 100 Hz", ticks(0.008), rate_hz=100.0)
 stamped("3 clock of 1 ms at 900 Hz, 2 % lost", ticks(0.001, 0.02), rate_hz=900.0)
@@ -223,6 +230,9 @@ stamped("5 64 of 72", kept(lambda k: k % 72 < 64), rate_hz=100.0)
 stamped("5 32 of 33", kept(lambda k: k % 33 < 32), rate_hz=100.0)
 stamped("5 9 of 10", kept(lambda k: k % 10 < 9), rate_hz=100.0)
 stamped("5 trials of 2 s, pauses of 6 to 53 s", kept(lambda k: k % 1500 < 100 + k // 1500 % 7), rate_hz=50.0)
+stamped("5 300 trials of 2 s, pauses of 6 to 53 s", trials, rate_hz=50.0, n=500_000)
+stamped("5 lost one by one, 92%", lost(0.92), rate_hz=100.0, n=200_000)
+stamped("5 lost in tens, 92%", lost(0.92, 10), rate_hz=100.0, n=200_000)
 
 
 def vibrating(

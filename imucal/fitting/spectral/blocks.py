@@ -1,6 +1,7 @@
 """AxisSeries -> blocks of ordinates -> binned ordinates, and the bins that a result keeps.
 
-Long gaps separate the blocks; short gaps are completed (`gaps`). Lines are left out.
+Long gaps separate the blocks; short gaps are completed (`gaps`). Lines are left out. A record of many short
+runs has many blocks; those of equal length have equal spectra, and their ordinates are summed.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,6 +33,25 @@ _MIN_SAMPLES = 64
 _LONG = 64
 #: Largest number of blocks; with more long gaps, shorter ones are completed too.
 _MAX_BLOCKS = 48
+#: Share of completed samples above which a fit is reported as uncertain, and above which runs end earlier.
+_MANY_COMPLETED = 0.6
+#: Gaps that are completed inside the runs of a log of trials: the largest that leaves few completed samples.
+_BRIDGES = (64, 32, 16, 8, 4, 2, 1, 0)
+#: Largest share of completed samples in the runs of a log of trials: then N is measured, not completed.
+_FEW_COMPLETED = 0.2
+#: Least share of the samples in the runs of a log of trials; with less, gaps are completed.
+_ENOUGH = 0.5
+#: Multiple of the mean gap up to which gaps are completed if a log has no runs: random losses exceed it in
+#: one of 1e8 gaps.
+_USUAL_GAPS = 20
+#: Fewest samples of a run of a log of trials: with fewer, the subtracted means cost more than 6 % of N.
+_MIN_TRIAL = 16
+#: Largest number of runs of a log of trials: 1000 transforms take about 1 s.
+_MAX_TRIALS = 1000
+#: Largest number of lengths of trials; above it, runs are cut to lengths of a grid.
+_MAX_LENGTHS = 24
+#: Lengths per octave of that grid: a run loses 4 % of its samples on average.
+_LENGTHS_PER_OCTAVE = 8
 #: Samples processed at a time, to stay in the cache.
 _PART = 1 << 16
 #: Largest number of blocks with bins as fine as without gaps.
@@ -83,13 +103,21 @@ class Block:
 class SeriesBlocks:
     """All blocks of a record, in order of time; `scale` is U per scaled unit.
 
-    `lines` were left out of the longest block.
+    `lines` were left out of the longest block. `groups` are blocks of equal length whose ordinates are
+    summed; if the record has no trials, each block is a group.
     """
 
     blocks: tuple[Block, ...]
     scale: float
     lines: tuple[Line, ...]
     findings: tuple[Finding, ...]
+    groups: tuple[tuple[Block, ...], ...]
+
+    def binned(self, names: tuple[str, ...] = ("R",)) -> Ordinates:
+        """Return the binned ordinates of all groups, with regressors of these names."""
+        return Ordinates.joined(
+            [_summed([_binned(block, self.scale, names) for block in group]) for group in self.groups]
+        )
 
 
 def scale_of(series: AxisSeries) -> float:
@@ -155,7 +183,7 @@ def make_blocks(
     Too few samples, equal samples, and no long enough run raise a DataError.
     """
     scale = scale_of(series)
-    runs, lost = _runs(series)
+    runs, trials = _runs(series)
     if not runs:
         msg = (
             f"no run of {_MIN_SAMPLES} samples without a long gap in {series.n} samples; "
@@ -165,30 +193,82 @@ def make_blocks(
     blocks: list[Block] = []
     lines: tuple[Line, ...] = ()
     longest = 0
-    for run in runs:
-        quick = _quick(series, run)
-        bins = _bins(quick.end - quick.first, len(runs))
-        block = _transformed(series, quick, bins, scale, temperature, transform)
+    cut = _of_few_lengths(series, runs) if trials else [_quick(series, run) for run in runs]
+    lengths = [run.end - run.first for run in cut]
+    number = len(set(lengths)) if trials else len(runs)
+    for run, length in zip(cut, lengths, strict=True):
+        block = _transformed(series, run, _bins(length, number), scale, temperature, transform)
         ordinates, sines = without_strong_lines(block.ordinates, block.bins)
         kept, found = find_lines(ordinates, block.bins, scale=scale, rate_hz=series.rate_hz)
         blocks.append(replace(block, ordinates=ordinates, kept=kept))
         if block.bins.n > longest:
             lines, longest = with_sines(found, sines, scale=scale, rate_hz=series.rate_hz), block.bins.n
+    groups: dict[int, list[Block]] = {}
+    for place, block in enumerate(blocks):
+        groups.setdefault(block.bins.n if trials else place, []).append(block)
     return SeriesBlocks(
-        blocks=tuple(blocks), scale=scale, lines=lines, findings=_gap_findings(series, runs, lost)
+        blocks=tuple(blocks),
+        scale=scale,
+        lines=lines,
+        findings=_gap_findings(series, runs, trials=trials),
+        groups=tuple(map(tuple, groups.values())),
     )
 
 
-def _runs(series: AxisSeries) -> tuple[list[Run], int]:
-    """Return the runs between long gaps, and the number of samples in runs too short."""
-    every = runs_of(series.clock, bridging=_LONG)
+def _runs(series: AxisSeries) -> tuple[list[Run], bool]:
+    """Return the runs between long gaps, and whether they are trials: short against the gaps.
+
+    If most samples were completed, their expectations would determine the spectrum. Then runs end at shorter
+    gaps too.
+    """
+    runs = _between_longest_gaps(series)
+    if _completed_share(runs) <= _MANY_COMPLETED:
+        return runs, False
+    for bridging in _BRIDGES:
+        trials = [run for run in runs_of(series.clock, bridging=bridging) if _count(run) >= _MIN_TRIAL]
+        enough = sum(map(_count, trials)) >= max(_ENOUGH * series.n, _MIN_SAMPLES)
+        if enough and _completed_share(trials) <= _FEW_COMPLETED:
+            longest = sorted(trials, key=_count, reverse=True)[:_MAX_TRIALS]
+            return sorted(longest), True
+    # Losses without runs: gaps up to many times the mean one belong to them.
+    usual = series.clock.missing / max(len(series.clock.segments), 1)
+    return _between_longest_gaps(series, max(_LONG, round(_USUAL_GAPS * usual))), False
+
+
+def _count(run: Run) -> int:
+    return run.stop - run.start
+
+
+def _completed(runs: Sequence[Run]) -> int:
+    return sum(run.end - run.first - _count(run) for run in runs)
+
+
+def _completed_share(runs: Sequence[Run]) -> float:
+    return _completed(runs) / max(sum(run.end - run.first for run in runs), 1)
+
+
+def _between_longest_gaps(series: AxisSeries, bridging: int = _LONG) -> list[Run]:
+    every = runs_of(series.clock, bridging=bridging)
     gaps = [after.first - run.end for run, after in pairwise(every)]
     # Cut at the longest gaps; among equal ones, at the first.
     cuts = sorted(np.argsort(np.negative(gaps), kind="stable")[: _MAX_BLOCKS - 1].tolist())
     ends = zip([0, *(cut + 1 for cut in cuts)], [*cuts, len(every) - 1], strict=True)
     joined = [every[a]._replace(stop=every[b].stop, end=every[b].end) for a, b in ends]
-    long = [run for run in joined if run.stop - run.start >= _MIN_SAMPLES]
-    return long, series.n - sum(run.stop - run.start for run in long)
+    return [run for run in joined if _count(run) >= _MIN_SAMPLES]
+
+
+def _of_few_lengths(series: AxisSeries, runs: list[Run]) -> list[Run]:
+    """Return the runs, cut to few lengths if they have many."""
+    sizes = np.array([run.end - run.first for run in runs])
+    if np.unique(sizes).size <= _MAX_LENGTHS:
+        return runs
+    steps = np.arange(1 + _LENGTHS_PER_OCTAVE * int(np.ceil(np.log2(sizes.max() / _MIN_TRIAL))))
+    grid = np.unique(np.floor(_MIN_TRIAL * 2 ** (steps / _LENGTHS_PER_OCTAVE)).astype(np.int64))
+    chosen = grid[np.searchsorted(grid, sizes, side="right") - 1].tolist()
+    ends = [run.first + size for run, size in zip(runs, chosen, strict=True)]
+    return [
+        run._replace(end=end, stop=series.clock.index_from(end)) for run, end in zip(runs, ends, strict=True)
+    ]
 
 
 def _quick(series: AxisSeries, run: Run) -> Run:
@@ -240,12 +320,9 @@ def _transformed(  # noqa: PLR0917 - a step of `make_blocks`
     )
 
 
-#: Share of completed samples above which intervals are too narrow.
-_MANY_COMPLETED = 0.6
-
-
-def _gap_findings(series: AxisSeries, runs: list[Run], lost: int) -> tuple[Finding, ...]:
-    completed = sum(run.end - run.first - (run.stop - run.start) for run in runs)
+def _gap_findings(series: AxisSeries, runs: list[Run], *, trials: bool) -> tuple[Finding, ...]:
+    completed = _completed(runs)
+    lost = series.n - sum(map(_count, runs))
     if len(runs) == 1 and not completed and not lost:
         return ()
     parts = []
@@ -256,18 +333,24 @@ def _gap_findings(series: AxisSeries, runs: list[Run], lost: int) -> tuple[Findi
     elif completed:
         parts.append(f"{completed} missing samples in short gaps are replaced by their expected values")
     if lost:
-        parts.append(f"{lost} samples in runs shorter than {_MIN_SAMPLES} are left out")
+        shortest = _MIN_TRIAL if trials else _MIN_SAMPLES
+        parts.append(f"{lost} samples in runs shorter than {shortest} are left out")
     text = f"The fit allows for gaps: {'; '.join(parts)}."
     share = completed / max(sum(run.end - run.first for run in runs), 1)
     if share <= _MANY_COMPLETED:
         return (Finding("info", "gaps-in-fit", text, axis=series.name),)
-    text += f" These are {100 * share:.0f} % of the samples: the intervals, of B above all, are too narrow."
+    text += (
+        f" These are {100 * share:.0f} % of the samples: the fit can tell white noise, flicker and random "
+        "walk, but no filter, vibration or tone."
+    )
     advice = "Record without losses, or use a part of the log with fewer."
     return (Finding("warning", "gaps-in-fit", text, advice, axis=series.name),)
 
 
 #: Fields of the ordinates that a result keeps.
 _KEPT = ("size", "power", "names", "cross", "gram")
+#: Fields of the ordinates that are sums over ordinates.
+_SUMMED = ("size", "power", "cross", "gram")
 #: Square of the relative rounding error of a transform.
 _ROUNDING = 1e-28
 
@@ -275,6 +358,14 @@ _ROUNDING = 1e-28
 def bin_blocks(blocks: Sequence[Block], scale: float, names: tuple[str, ...] = ("R",)) -> Ordinates:
     """Return the binned ordinates of all blocks."""
     return Ordinates.joined([_binned(block, scale, names) for block in blocks])
+
+
+def _summed(parts: Sequence[Ordinates]) -> Ordinates:
+    """Return the ordinates of blocks of equal length as if of one; the sums of a likelihood are additive."""
+    if len(parts) == 1:
+        return parts[0]
+    sums = {name: np.sum([getattr(part, name) for part in parts], axis=0) for name in _SUMMED}
+    return replace(parts[0], **sums)
 
 
 def _binned(block: Block, scale: float, names: tuple[str, ...]) -> Ordinates:
@@ -312,8 +403,8 @@ def _binned(block: Block, scale: float, names: tuple[str, ...]) -> Ordinates:
 
 
 def bins_of(whole: Ordinates, blocks: SeriesBlocks, *, tau0: float, widening: float) -> Bins:
-    """Return the bins of `blocks` to keep with a result."""
-    every = [block.bins for block in blocks.blocks]
+    """Return the bins of the groups of `blocks` to keep with a result."""
+    every = [group[0].bins for group in blocks.groups]
     return Bins(
         n=np.array([bins.n for bins in every], dtype=np.int64),
         start=np.cumsum([0, *(bins.size for bins in every[:-1])]),

@@ -28,7 +28,7 @@ from imucal.fitting.homogeneity import (
 from imucal.fitting.noise_fit import MISFIT, Estimate, Goodness, NoiseFit, Segments
 from imucal.fitting.robust import heavy_tails, resolution_effect, step_size
 from imucal.fitting.settings import FitSettings
-from imucal.fitting.spectral.blocks import SeriesBlocks, bin_blocks, bins_of, make_blocks
+from imucal.fitting.spectral.blocks import SeriesBlocks, bins_of, make_blocks
 from imucal.fitting.spectral.bounds import either, estimate_or_bound, hull_estimates, numbered, with_absent
 from imucal.fitting.spectral.disturbances.band import Band, filter_finding, response_of
 from imucal.fitting.spectral.disturbances.band_search import find_band
@@ -177,7 +177,7 @@ def _estimates(
     if view.doubtful:
         # A second fit removes the doubtful warm-up or cycle too.
         names = (*view.whole.names, *view.doubtful)
-        other = view.band.select(bin_blocks(view.blocks.blocks, view.blocks.scale, names))
+        other = view.band.select(view.blocks.binned(names))
         alternative = replace(problem, ordinates=other)
         estimates = either(
             estimates, hull_estimates(alternative, _choice(alternative, view.band, settings))[2]
@@ -227,9 +227,10 @@ def _noise_share(view: View, fitted: Fits, curve: AllanCurve, rate_hz: float) ->
     lines = view.blocks.lines
     if not lines and view.band.flat:
         return None
-    sizes = [block.bins.size for block in view.blocks.blocks]
-    longest = int(np.argmax([block.bins.n for block in view.blocks.blocks]))
-    bins = view.blocks.blocks[longest].bins
+    groups = [group[0].bins for group in view.blocks.groups]
+    sizes = [bins.size for bins in groups]
+    longest = int(np.argmax([bins.n for bins in groups]))
+    bins = groups[longest]
     whole = view.whole[np.repeat(np.arange(len(sizes)), sizes) == longest]
     model, seen = _spectra(whole, fitted, view.band)
     half = np.pi * np.array([line.frequency_hz for line in lines]) / rate_hz
@@ -264,7 +265,7 @@ def spectral_view(
     blocks = make_blocks(series, temperature, transform)
     found, doubtful, findings = find_shapes(series, blocks)
     common, may_be = (tuple(name for one in shapes for name in one.names) for shapes in (found, doubtful))
-    whole = bin_blocks(blocks.blocks, blocks.scale, ("R", *common))
+    whole = blocks.binned(("R", *common))
     band = find_band(
         whole,
         richest(settings.structure, settings.max_gm),

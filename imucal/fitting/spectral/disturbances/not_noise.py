@@ -11,7 +11,7 @@ from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding, Level
 from imucal.fitting.noise_fit import Line
-from imucal.fitting.spectral.blocks import SeriesBlocks, bin_blocks, make_blocks
+from imucal.fitting.spectral.blocks import SeriesBlocks, make_blocks
 from imucal.fitting.spectral.disturbances.band import Band, corner_of
 from imucal.fitting.spectral.disturbances.band_search import find_band
 from imucal.fitting.spectral.disturbances.hump import hump_finding
@@ -46,7 +46,7 @@ def not_noise(series: AxisSeries, temperature: FloatArray | None = None) -> tupl
         return ()
     found, _ = find_disturbances(blocks.blocks, exact=exact_places(series))
     common = tuple(name for one in found for name in one.names)
-    whole = bin_blocks(blocks.blocks, blocks.scale, ("R", *common))
+    whole = blocks.binned(("R", *common))
     band = find_band(whole, richest(None))
     return (
         *tone_finding(blocks, series, fitted=False),
