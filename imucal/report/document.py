@@ -16,6 +16,7 @@ from imucal.frozen import frozen, frozen_alone
 from imucal.grading import Grade
 from imucal.noise.terms import TERMS
 from imucal.recording import Axis, Sensor, Source
+from imucal.report.result import Overview
 from imucal.report.typed_json import Key
 
 SCHEMA = "imucal/report/3"
@@ -42,14 +43,10 @@ class QuantityEntry:
 
 
 @frozen
-class SummaryEntry:
+class SummaryEntry(QuantityEntry):
     """The numbers of a term in SI."""
 
     status: Status
-    value: float | None
-    low: float
-    high: OrInfinite
-    unit: str
 
 
 @frozen
@@ -193,18 +190,9 @@ class Document(Header):
 
 
 @frozen_alone
-class SignalEntry:
-    """The lowest and highest sample of each stretch, shape (k,)."""
-
-    time_s: FloatArray
-    low: Annotated[FloatArray, Key(like="time_s")]
-    high: Annotated[FloatArray, Key(like="time_s")]
-
-
-@frozen_alone
 class SignalDocument:
     """The raw signals of `signal.json`."""
 
     schema: str
     version: str
-    axes: Mapping[str, SignalEntry]
+    axes: Mapping[str, Overview]

@@ -31,25 +31,12 @@ from imucal.report.document import (
     MinimumEntry,
     QuantityEntry,
     SignalDocument,
-    SignalEntry,
     SpectrumEntry,
     SummaryEntry,
     TermEntry,
 )
-from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Overview, Report
-from imucal.report.typed_json import JsonObject, Place, check_length, from_json, to_json
-
-__all__ = [
-    "SCHEMA",
-    "SIGNAL_FILE",
-    "axis_document",
-    "from_document",
-    "load",
-    "schema",
-    "signal_document",
-    "to_document",
-]
+from imucal.report.typed_json import JsonObject, Place, check_length, from_json, hints_of, to_json
 
 #: Pictures need the raw signals, scripts do not.
 SIGNAL_FILE = "signal.json"
@@ -64,9 +51,11 @@ A = TypeVar("A")
 def to_document(report: Report) -> JsonObject:
     """Return the whole report as JSON values."""
     header = _header(report, report.all_findings)
-    pairs = tuple(_pairs(report)) if report.verdict.usable else ()
+    filter_numbers = tuple(_filter_entries(report)) if report.verdict.usable else ()
     axes = tuple(_axis_entry(axis) for axis in report.axes)
-    document = _converted(Document, header, summary=_summary(report), filter_numbers=pairs, axes=axes)
+    document = _converted(
+        Document, header, summary=_summary(report), filter_numbers=filter_numbers, axes=axes
+    )
     return _object(document)
 
 
@@ -79,12 +68,11 @@ def axis_document(report: Report, axis: AxisReport) -> JsonObject:
 
 def signal_document(report: Report) -> JsonObject:
     """Return the raw signals."""
-    axes = {axis.name: _signal_entry(axis.overview) for axis in report.axes}
+    axes = {}
+    for axis in report.axes:
+        signal = {name: _rounded(getattr(axis.overview, name)) for name in hints_of(Overview)}
+        axes[axis.name] = Overview(**signal)
     return _object(SignalDocument(schema=SIGNAL_SCHEMA, version=report.version, axes=axes))
-
-
-def _signal_entry(signal: Overview) -> SignalEntry:
-    return SignalEntry(time_s=_rounded(signal.time_s), low=_rounded(signal.low), high=_rounded(signal.high))
 
 
 def _object(value: object) -> JsonObject:
@@ -126,7 +114,7 @@ def _summary(report: Report) -> dict[str, dict[str, SummaryEntry]]:
     }
 
 
-def _pairs(report: Report) -> Iterator[FilterEntry]:
+def _filter_entries(report: Report) -> Iterator[FilterEntry]:
     """Yield the numbers for coasting for 1 min and 5 min."""
     for sensor, axes in report.by_sensor.items():
         names = tuple(axis.name for axis in axes)
@@ -178,12 +166,8 @@ def _curve_entry(fit: NoiseFit) -> CurveEntry:
 def _minimum_entry(fit: NoiseFit, sensor: Sensor) -> MinimumEntry:
     floor, unit = numbers.minimum(fit), TERMS["B"].datasheet_unit(sensor)
     adev, tau_s = fit.curve.minimum
-    datasheet = _quantity(floor.scaled(unit.factor, unit.name))
+    datasheet = _converted(QuantityEntry, floor.scaled(unit.factor, unit.name))
     return MinimumEntry(adev=adev, tau_s=tau_s, low=floor.low, high=floor.high, datasheet=datasheet)
-
-
-def _quantity(quantity: Quantity) -> QuantityEntry:
-    return _converted(QuantityEntry, quantity)
 
 
 def _fit_entry(fit: NoiseFit, sensor: Sensor) -> FitEntry:
@@ -206,8 +190,8 @@ def _term_entry(estimate: Estimate, fit: NoiseFit, sensor: Sensor) -> TermEntry:
         estimate,
         name=kind.name(sensor),
         unit=kind.unit(sensor),
-        datasheet=_quantity(numbers.datasheet(estimate, sensor)),
-        correlation_time=time and _quantity(numbers.correlation_time(time)),
+        datasheet=_converted(QuantityEntry, numbers.datasheet(estimate, sensor)),
+        correlation_time=time and _converted(QuantityEntry, numbers.correlation_time(time)),
         # State of a filter: x[t+1] = phi x[t] + q w[t].
         phi=term and term.phi(tau0),
         q=term and term.q(tau0),
@@ -264,8 +248,8 @@ def from_document(document: object, *, file: str = "report") -> Report:
     axes = []
     for index, entry in enumerate(entries.axes):
         axis = _axis(entry, root.key("axes").item(index))
-        own = tuple(finding for finding in entries.findings if finding.axis == axis.name)
-        axes.append(replace(axis, findings=own))
+        findings = tuple(finding for finding in entries.findings if finding.axis == axis.name)
+        axes.append(replace(axis, findings=findings))
     names = {axis.name for axis in axes}
     others = tuple(finding for finding in entries.findings if finding.axis not in names)
     return _converted(Report, entries, axes=tuple(axes), findings=others)
@@ -352,10 +336,11 @@ def _with_signals(report: Report, file: Path) -> Report:
     document = _parsed(file, "the signal.json that imucal writes")
     root.check_schema(document, SIGNAL_SCHEMA)
     signals = from_json(SignalDocument, document, root).axes
-    axes = tuple(
-        replace(axis, overview=_converted(Overview, signals[axis.name])) if axis.name in signals else axis
-        for axis in report.axes
-    )
+    for name, signal in signals.items():
+        for limit in ("low", "high"):
+            place = root.key("axes").key(name).key(limit)
+            check_length(getattr(signal, limit), signal.time_s.size, place)
+    axes = tuple(replace(axis, overview=signals.get(axis.name, axis.overview)) for axis in report.axes)
     return replace(report, axes=axes)
 
 

@@ -1,7 +1,7 @@
 """JSON of dataclasses, written and read by their type hints: attributes are keys.
 
-Numbers that are not finite are null. A hint ``Annotated[type, Key(…)]`` adds
-what a value needs besides its type.
+Numbers that are not finite are null. A hint ``Annotated[type, Key(…)]`` adds what a value needs besides its
+type.
 """
 
 import json

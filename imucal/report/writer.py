@@ -9,7 +9,8 @@ from imucal.arguments import takes
 from imucal.findings import Finding
 from imucal.processes import try_side_work
 from imucal.recording import Sensor
-from imucal.report.json_file import SCHEMA, SIGNAL_FILE, axis_document, signal_document, to_document
+from imucal.report.document import SCHEMA
+from imucal.report.json_file import SIGNAL_FILE, axis_document, signal_document, to_document
 from imucal.report.out_folder import OutFolder
 from imucal.report.result import Report
 from imucal.report.typed_json import dumps
