@@ -237,6 +237,7 @@ def _intrinsics(document: CalibrationDocument) -> Intrinsics:
     sensors: dict[str, SensorEntry] = {"accel": accel}
     if gyro is not None:
         sensors["gyro"] = gyro
+    units = {parameter.unit for entry in sensors.values() for parameter in entry.parameters.values()}
     weak = [
         f"{sensor} {name.replace('_', ' ')}"
         for sensor, entry in sensors.items()
@@ -257,7 +258,8 @@ def _intrinsics(document: CalibrationDocument) -> Intrinsics:
         G=None if gyro is None else gyro.G,
         gravity=document.gravity.value,
         means=np.array([rest.mean_accel for rest in document.rests if rest.used]),
-        said_si=all(entry.parameters["bias_x"].unit != "raw" for entry in sensors.values()),
+        # The unit of a bias in raw counts.
+        said_si="raw" not in units,
         weak=tuple(weak),
         warnings=tuple(dict.fromkeys(f.code for f in document.findings if f.level != "info")),
     )
