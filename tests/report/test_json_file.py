@@ -455,12 +455,12 @@ def test_every_value_is_validated(place: str, value: object, message: str) -> No
     _set(document, ("axes", 0, *place.split(".")), value)
     with pytest.raises(ReadError) as caught:
         from_document(document)
-    assert f"{message}" in str(caught.value)
+    assert str(caught.value).endswith(f"{message}; run 'imucal fit' again")
     assert str(caught.value).startswith(f"report: axes[0].{place.partition('.')[0]}")
 
 
 #: Values that damage or another program could put into a file.
-_WRONG: tuple[Any, ...] = (None, True, -1, 10**400, math.inf, "x", [[]], {})
+_WRONG: tuple[Any, ...] = (None, True, 10**400, "x", [[]], {})
 
 
 def _places(value: object, place: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
@@ -484,7 +484,8 @@ def test_each_damaged_value_is_refused_at_its_place() -> None:
     """The error is a ReadError with the place of the value, of a list of the same length, or of an item."""
     report = _fitted_report()
     document: Any = json.loads(dumps(to_document(replace(report, findings=_report_with_fix().findings))))
-    places = _places(document)[1:]
+    # Settings can be any JSON.
+    places = [place for place in _places(document)[1:] if "settings" not in place[:-1]]
     refused: dict[tuple[Any, ...], list[str]] = {}
     for place in places:
         original = document
@@ -500,7 +501,7 @@ def test_each_damaged_value_is_refused_at_its_place() -> None:
     for place, found in refused.items():
         parent = _shown(place[:-1])
         assert all(one.startswith(f"r.json: {parent}" if parent else "r.json") for one in found), place
-    accepted = {_shown(place) for place in places if place not in refused and "settings" not in place}
+    accepted = {_shown(place) for place in places if place not in refused}
     assert accepted == set()
 
 
