@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import mkdtemp
 
-from imucal.errors import WriteError
+from imucal.errors import Fix, WriteError
 
 #: Bytes that are searched for the mark of imucal.
 _START = 4096
@@ -30,8 +30,8 @@ def replacing(path: Path, *, ours: str | None = None) -> Iterator[Path]:
     try:
         folder = Path(mkdtemp(prefix=f".{path.name}.", dir=path.parent))
     except OSError as error:
-        msg = f"{path}: can't be written: {error.strerror or error}; choose another place"
-        raise WriteError(msg) from error
+        problem = f"can't be written: {error.strerror or error}"
+        raise WriteError(problem, place=path, fix=Fix("choose another place")) from error
     try:
         scratch = folder / path.name
         yield scratch
@@ -40,8 +40,8 @@ def replacing(path: Path, *, ours: str | None = None) -> Iterator[Path]:
                 os.fsync(stream.fileno())
         scratch.replace(path)
     except OSError as error:
-        msg = f"{path}: can't be written: {error.strerror or error}; free some space or choose another place"
-        raise WriteError(msg) from error
+        problem = f"can't be written: {error.strerror or error}"
+        raise WriteError(problem, place=path, fix=Fix("free some space or choose another place")) from error
     finally:
         with suppress(OSError):
             shutil.rmtree(folder)
@@ -52,18 +52,18 @@ def _refuse_foreign(path: Path, ours: str | None) -> None:
     if not path.exists() or path.is_dir():
         return
     if not path.is_file():
-        raise WriteError(f"{path}: not a regular file; choose another place")
+        raise WriteError("not a regular file", place=path, fix=Fix("choose another place"))
     if ours is None:
         return
     try:
         with path.open("rb") as stream:
             start = stream.read(_START)
     except OSError as error:
-        msg = f"{path}: can't be read before it is replaced: {error.strerror or error}; choose another place"
-        raise WriteError(msg) from error
+        problem = f"can't be read before it is replaced: {error.strerror or error}"
+        raise WriteError(problem, place=path, fix=Fix("choose another place")) from error
     if ours.encode() not in start:
-        msg = f"{path}: exists and was not written by imucal; move it away, or choose another place"
-        raise WriteError(msg)
+        problem = "exists and was not written by imucal"
+        raise WriteError(problem, place=path, fix=Fix("move it away, or choose another place"))
 
 
 def sweep(scratch: Iterable[Path]) -> None:
@@ -90,7 +90,8 @@ def make_folder(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         reason = "it is a file" if path.is_file() else error.strerror or error
-        raise WriteError(f"{path}: can't be created: {reason}; choose another folder") from error
+        problem = f"can't be created: {reason}"
+        raise WriteError(problem, place=path, fix=Fix("choose another folder")) from error
 
 
 def write_configs(texts: Mapping[str, str], path: Path, *, folder: bool = False) -> tuple[Path, ...]:

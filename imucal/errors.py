@@ -22,6 +22,15 @@ EXIT_CODES = {
 }
 
 
+#: Code of an error that programs tell apart -> its meaning.
+ERROR_CODES = {
+    "not-noise": "the log is not noise at rest, so its numbers are not used",
+    "uncertain": "N is uncertain by more than a factor of 10",
+    "no-result": "no axis could be fitted",
+    "only-times": "a file of a table contains times and no samples",
+}
+
+
 @dataclass(frozen=True, slots=True)
 class Fix:
     """One way to fix a problem.
@@ -103,6 +112,10 @@ class ImucalError(Exception):
         """Return the error with an outer place before its place, unless it is there already."""
         inner = _below(self.place, str(outer))
         return self.at(_placed(str(outer), inner) if inner else outer)
+
+    def below(self, outer: object) -> Self:
+        """Return the error with its place relative to an outer place, for a reader who knows that one."""
+        return self.at(_below(self.place, str(outer)))
 
     def with_fixes(self, *fixes: Fix) -> Self:
         """Return the error with further ways to fix it."""

@@ -22,7 +22,7 @@ from imucal.calibration.writer import is_calibration
 from imucal.checking import CheckResult, Limits, check_config, parse_limits, read_limits
 from imucal.checking import check as check_limits
 from imucal.checking.calibrated import check_calibration
-from imucal.errors import ArgumentError, DataError, ImucalError
+from imucal.errors import ArgumentError, ImucalError
 from imucal.fitting import NoiseFit
 from imucal.fitting import fit as fit_axis
 from imucal.noise import NoiseModel
@@ -31,7 +31,8 @@ from imucal.prediction.filter_numbers import STEP_S
 from imucal.readers import LogContents, describe
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.report.exports import export as export_report
-from imucal.report.exports.config_numbers import AxisPolicy, Basis, ExportOptions, Unidentified, vague_axes
+from imucal.report.exports import refuse_unsound
+from imucal.report.exports.config_numbers import AxisPolicy, Basis, ExportOptions, Unidentified
 from imucal.report.json_file import load
 from imucal.report.result import Report
 from imucal.units import G0
@@ -222,12 +223,8 @@ def export(
         if isinstance(report, Calibration):
             return (export_calibration(report, target, Path(path), noise, options),)
         found = _report(report)
-        if not (force or found.verdict.usable):
-            sentence = found.verdict.sentence
-            raise DataError(f"{sentence}; nothing was exported; record again at rest, or give force=True")
-        if not force and (axes := vague_axes(found)):
-            vague = f"N of {', '.join(axes)} is not known to a factor of 10"
-            raise DataError(f"{vague}; nothing was exported; record for longer, or give force=True")
+        if not force:
+            refuse_unsound(found, place=found.source.path)
         return export_report(found, target, Path(path), options)
 
 

@@ -42,6 +42,11 @@ class Finding:
     fix: Fix | None = None
 
 
+def as_sentence(text: str) -> str:
+    """Return the text of an error as a sentence: with a capital letter and a full stop."""
+    return f"{text[:1].upper()}{text[1:]}."
+
+
 def options_to_keep(keep_s: tuple[float, float]) -> str:
     """Return the options that keep a part of a log, such as ``--skip 145s --take 51.5s``."""
     start, end = keep_s

@@ -6,7 +6,7 @@ The most severe finding determines it, by its level or by an entry in `OTHERWISE
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal, TypeAlias
 
-from imucal.errors import Fix
+from imucal.errors import DataError, Fix
 from imucal.findings import Finding, Level, options_to_keep, phrase_of
 from imucal.frozen import frozen
 
@@ -41,6 +41,9 @@ DISTURBED = frozenset({"motion", "touch"})
 #: Doubts about a unit: the noise may still be stationary.
 _OF_UNITS = frozenset({"unit-suspect", "unit-given", "unit-assumed"})
 
+#: Use the numbers in spite of the verdict.
+FORCE = Fix("force it", "force")
+
 #: Number of reasons in a sentence.
 _NAMED = 3
 
@@ -69,13 +72,22 @@ def is_motion(finding: Finding) -> bool:
     return finding.code in DISTURBED and finding.level == "error"
 
 
-def remedy(findings: Iterable[Finding]) -> str:
-    """Return short advice for a log that is not noise, for the end of a message."""
+def refusal(
+    verdict: NoiseVerdict, findings: Iterable[Finding], *, place: object, consequence: str
+) -> DataError:
+    """Return the error for a log that is not noise; `consequence` is such as ``nothing was exported``."""
+    sentence = verdict.sentence[0].lower() + verdict.sentence[1:]
+    return DataError(f"{sentence}; {consequence}", place=place, fixes=_fixes(findings), code="not-noise")
+
+
+def _fixes(findings: Iterable[Finding]) -> tuple[Fix, ...]:
     moved = [finding for finding in findings if is_motion(finding)]
     if any(finding.fix and finding.fix.argument == "rests" for finding in moved):
-        return "fit the rests with --rests"
+        return (Fix("fit the rests", "rests"),)
     kept = next((finding.keep_s for finding in moved if finding.keep_s), None)
-    return f"fit the quiet part with {options_to_keep(kept)}" if kept else "record again at rest, or --force"
+    if kept:
+        return (Fix(f"fit the quiet part with {options_to_keep(kept)}"),)
+    return Fix("record again at rest"), FORCE
 
 
 def unit_fix(findings: Iterable[Finding], reading: Mapping[str, object]) -> Fix | None:

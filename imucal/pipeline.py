@@ -15,7 +15,7 @@ from imucal.allan.dct import Transform
 from imucal.arguments import takes
 from imucal.arrays import FloatArray, never_changes, release
 from imucal.errors import ArgumentError, DataError
-from imucal.findings import Finding
+from imucal.findings import Finding, as_sentence
 from imucal.fitting import FitSettings, NoiseFit, fit_axis
 from imucal.fitting.cross_checks import ambiguity_findings, fit_of_curve, second_opinion
 from imucal.fitting.robust import clean
@@ -126,11 +126,11 @@ def characterize(
 
     used = _for_motion(settings, findings)
 
-    def work(series: AxisSeries) -> AxisReport | Finding:
+    def work(series: AxisSeries) -> AxisReport | DataError:
         try:
             return _characterize_axis(series, used, recording.temperature, findings)
         except DataError as error:
-            return _no_result(series, error, findings)
+            return error.at(series.name)
 
     def report_done(done: int, following: AxisSeries | None) -> None:
         if progress:
@@ -138,16 +138,17 @@ def characterize(
 
     found = side_by_side(work, recording.series, workers=workers, done=report_done)
     axes = [axis for axis in found if isinstance(axis, AxisReport)]
-    failures = [failure for failure in found if isinstance(failure, Finding)]
+    failures = [failure for failure in found if isinstance(failure, DataError)]
     if not axes:
         reasons = _reasons(failures) or "the log has no samples"
-        raise DataError(f"{recording.source.path}: no axis can be analysed: {reasons}")
+        problem = f"no axis can be analysed: {reasons}"
+        raise DataError(problem, place=recording.source.path, code="no-result")
     report = Report(
         source=replace(recording.source, read=recording.source.read or ReadRange.of(recording.series)),
         axes=tuple(axes),
         settings=settings.document(),
         version=__version__,
-        findings=(*_of_no_result(findings, axes, failures), *failures),
+        findings=tuple(_of_no_result(findings, axes, failures)),
     )
     return advised_report(report, recording)
 
@@ -159,20 +160,23 @@ def _for_motion(settings: Settings, findings: Sequence[Finding]) -> Settings:
     return replace(settings, method="slope", model="auto", second_opinion=False)
 
 
-def _no_result(series: AxisSeries, error: DataError, findings: Sequence[Finding]) -> Finding:
+def _no_result(error: DataError, findings: Sequence[Finding]) -> Finding:
     """Return why an axis has no result, with the screening's advice about an axis without data."""
-    advice = next((f.advice for f in findings if f.axis == series.name and f.code == "no-data"), "")
-    return Finding("error", "no-result", f"{error}.", advice, axis=series.name)
+    axis = error.place
+    advice = next((f.advice for f in findings if f.axis == axis and f.code == "no-data"), "")
+    return Finding("error", "no-result", as_sentence(error.sentence), advice, axis=axis)
 
 
 def _of_no_result(
-    findings: Sequence[Finding], axes: Sequence[AxisReport], failures: Sequence[Finding]
+    findings: Sequence[Finding], axes: Sequence[AxisReport], failures: Sequence[DataError]
 ) -> Iterator[Finding]:
-    """Yield the findings that belong to no result; a failure replaces the `no-data` of its axis."""
-    fitted, failed = {axis.name for axis in axes}, {failure.axis for failure in failures}
+    """Yield the findings without a result, then the failures, which replace `no-data` of their axes."""
+    fitted, failed = {axis.name for axis in axes}, {failure.place for failure in failures}
     for finding in findings:
         if finding.axis not in fitted and (finding.code != "no-data" or finding.axis not in failed):
             yield finding
+    for failure in failures:
+        yield _no_result(failure, findings)
 
 
 @takes('imucal.screen(imucal.read("log.mcap"))', recording=Recording)
@@ -213,12 +217,11 @@ def _workers(recording: Recording, wanted: int | None) -> int:
     return max(1, min(count, room // (_BESIDES + _BYTES * largest)))
 
 
-def _reasons(failures: list[Finding]) -> str:
+def _reasons(failures: Sequence[DataError]) -> str:
     """Return why axes could not be analysed, axes with the same reason together."""
     axes: dict[str, list[str]] = {}
     for failure in failures:
-        name = failure.axis or ""
-        axes.setdefault(failure.text.removeprefix(f"{name}: ").removesuffix("."), []).append(name)
+        axes.setdefault(failure.sentence, []).append(failure.place)
     return "; ".join(f"{', '.join(names)}: {reason}" for reason, names in axes.items())
 
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from multiprocessing.context import ForkProcess
 
 #: late: it took too long; ended: its process crashed or was killed.
-Outcome: TypeAlias = Literal["done", "failed", "late", "ended"]
+Outcome: TypeAlias = Literal["done", "failed", "no-memory", "late", "ended"]
 #: The whole address space, or private writable memory.
 Counted: TypeAlias = Literal["addresses", "data"]
 
@@ -68,8 +68,8 @@ R = TypeVar("R")
 class Answer:
     """The outcome of a question, and the `value` that the function returned if it is done.
 
-    `words` contains the type and text of the error if it failed, or the last output of a child that ended;
-    `code` is then its exit code, negative for a signal.
+    It is ``no-memory`` after a MemoryError. `words` contains the type and text of another error, or the last
+    output of a child that ended; `code` is then its exit code, negative for a signal.
     """
 
     outcome: Outcome
@@ -221,6 +221,8 @@ def serve() -> None:
             counted, memory, function, args = pickle.loads(question)  # noqa: S301 - from this package's own process
             _limit_memory(counted, memory)
             answer = pickle.dumps(Answer(outcome="done", value=function(*args)), protocol=5)
+        except MemoryError:
+            answer = pickle.dumps(Answer(outcome="no-memory"))
         except BaseException as error:  # noqa: BLE001 - panics of Rust are no Exceptions
             text = " ".join(str(error).split())[:300]
             answer = pickle.dumps(Answer(outcome="failed", words=f"{type(error).__name__}: {text}"))

@@ -1,6 +1,6 @@
 """Sensors, axes and recordings, always in SI units."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Literal, TypeAlias
@@ -204,14 +204,20 @@ def span_ns(series: Iterable[AxisSeries]) -> tuple[int, int] | None:
     return (min(spans)[0], max(start + round(length * 1e9) for start, length in spans)) if spans else None
 
 
+#: Value of the unit of samples that stay raw counts.
+RAW_COUNTS = "count"
+
+
 @frozen
 class Source:
     """The origin of a recording: the path of the log, and its format such as ``rosbag2-mcap``.
 
     `topics` and `message_types` are pairs; for a table, `topics` contains column names and there are no
     types. `decisions` contains each choice and its reason, such as ``("gyroscope unit", "deg/s, from the
-    column header")``. `files` contains sizes and checksums: always for standard input, otherwise on request.
-    `read` is the range that was read; None for the whole log.
+    column header")``. `values` are answers without reasons, for programs: frame, layout and units, such as
+    ``{"gyroscope unit": "deg/s"}``; reports do not contain them. `files` contains sizes and checksums:
+    always for standard input, otherwise on request. `read` is the range that was read; None for the whole
+    log.
     """
 
     path: str
@@ -219,6 +225,7 @@ class Source:
     topics: tuple[str, ...] = ()
     message_types: tuple[str, ...] = ()
     decisions: tuple[tuple[str, str], ...] = ()
+    values: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)
     files: tuple[LogFileInfo, ...] = ()
     read: ReadRange | None = None
 
@@ -267,7 +274,8 @@ class Recording(Displayed):
             where = (
                 f"from {start_s:g} s on" if end_s == float("inf") else f"from {start_s:g} s to {end_s:g} s"
             )
-            raise DataError(f"{self.source.path}: no samples {where}; it lasts {longest:.6g} s")
+            problem = f"no samples {where}; it lasts {longest:.6g} s"
+            raise DataError(problem, place=self.source.path)
         temperature = self.temperature
         if temperature is not None:
             clock = temperature.clock
@@ -298,13 +306,13 @@ class Recording(Displayed):
         for series in self.series:
             if sensor in {series.sensor, series.sensor.short} and series.axis == axis:
                 return series
-        raise DataError(f"{self.source.path}: no axis {sensor} {axis}; {self._names}")
+        raise DataError(f"no axis {sensor} {axis}; {self._names}", place=self.source.path)
 
     def __getitem__(self, name: str) -> AxisSeries:
         for series in self.series:
             if series.name == name:
                 return series
-        raise MissingError(f"{self.source.path}: no axis {name!r}; {self._names}")
+        raise MissingError(f"no axis {name!r}; {self._names}", place=self.source.path)
 
     @property
     def rate_hz(self) -> float:

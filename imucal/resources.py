@@ -9,10 +9,13 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path, PurePosixPath
 
-from imucal.errors import SettingError
+from imucal.errors import Fix, SettingError
 from imucal.user_input import bytes_of
 
-MEMORY, THREADS = "IMUCAL_MEMORY", "IMUCAL_THREADS"
+#: Environment variable with the limit of the memory.
+MEMORY = "IMUCAL_MEMORY"
+#: Environment variable with the number of threads.
+THREADS = "IMUCAL_THREADS"
 
 #: Memory of one step, in bytes, if the machine's memory is unknown.
 _UNKNOWN = 2_000_000_000
@@ -48,7 +51,8 @@ def size_setting(name: str, *, least: int = 1) -> int | None:
     try:
         return bytes_of(text, least=least)
     except ValueError as error:
-        raise SettingError(f"{name}: found {text!r}, expected {error}; set one, or unset it") from error
+        problem = f"found {text!r}, expected {error}"
+        raise SettingError(problem, place=name, fix=Fix("set one, or unset it")) from error
 
 
 @cache

@@ -25,15 +25,20 @@ from imucal.units import duration
 
 __all__ = ["at_rest"]
 
-#: Minimum length of a rest, in s and in samples.
-_SHORTEST_S, _MIN_SAMPLES = 20.0, 128
-#: Time omitted on both sides of a motion, in s and in samples: a car rocks for a while, and the fit treats
-#: shorter gaps as lost samples.
-_CLEAR_S, _CLEAR = 2.0, 33
+#: Minimum length of a rest, in s.
+_SHORTEST_S = 20.0
+#: Minimum length of a rest, in samples.
+_MIN_SAMPLES = 128
+#: Time omitted on both sides of a motion, in s: a car rocks for a while.
+_CLEAR_S = 2.0
+#: The same in samples: the fit treats shorter gaps as lost samples.
+_CLEAR = 33
 #: The longest rests; the fit has at most this many blocks.
 _MAX_RESTS = 48
-#: Length of the quietest stretch, in s; a window is quiet below this multiple of its variance.
-_STRETCH_S, _QUIET = 10.0, 4.0
+#: Length of the quietest stretch, in s.
+_STRETCH_S = 10.0
+#: A window is quiet below this multiple of the variance of the quietest stretch.
+_QUIET = 4.0
 #: A rest is shaken above this multiple of the quietest rest's noise power.
 _SHAKEN = 1.5
 #: A gyroscope turns steadily if its mean differs this much from the other rests, in rad/s.
@@ -73,10 +78,10 @@ def at_rest(recording: Recording) -> Recording:
     if not rests:
         longest = max((one.length_s for one in stretches), default=0.0)
         msg = (
-            f"{recording.source.path}: found no rest of at least {_SHORTEST_S:g} s in "
-            f"{duration(duration_s)}, the longest being {duration(longest)}; leave the IMU alone for longer"
+            f"found no rest of at least {_SHORTEST_S:g} s in {duration(duration_s)}, "
+            f"the longest being {duration(longest)}; leave the IMU alone for longer"
         )
-        raise DataError(msg)
+        raise DataError(msg, place=recording.source.path)
     first = rests[0].start_s
     part = recording.between(first, rests[-1].end_s)
     spans = [(one.start_s - first, one.end_s - first) for one in rests]

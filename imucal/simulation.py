@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray, IntArray, blocks
 from imucal.atomic import replacing
 from imucal.clock import Clock
-from imucal.errors import ArgumentError, WriteError
+from imucal.errors import ArgumentError, Fix, WriteError
 from imucal.frozen import frozen, frozen_alone
 from imucal.noise import NoiseModel
 from imucal.readers.store import Room
@@ -119,10 +119,9 @@ def write_log(recording: Recording, path: Path) -> None:
     writer = WRITERS.get(path.suffix.lower())
     if writer is None:
         known = ", ".join(suffix or "none (a folder)" for suffix in WRITERS)
-        raise WriteError(f"{path}: unknown log suffix {path.suffix!r}; expected one of {known}")
+        raise WriteError(f"unknown log suffix {path.suffix!r}; expected one of {known}", place=path)
     if path.exists():
-        msg = f"{path}: exists already; choose another name, or remove it"
-        raise WriteError(msg)
+        raise WriteError("exists already", place=path, fix=Fix("choose another name, or remove it"))
     with replacing(path) as scratch:
         writer(scratch, _rows(recording))
 

@@ -82,7 +82,7 @@ def test_an_unusable_axis_does_not_stop_the_others() -> None:
     assert [axis.name for axis in report.axes] == ["gyro_x"]
     (finding,) = [finding for finding in report.findings if finding.axis == "gyro_y"]
     assert finding.code == "no-result"
-    assert finding.text == "gyro_y: no usable samples among 4096: all are NaN, infinite or absurdly large."
+    assert finding.text == "No usable samples among 4096: all are NaN, infinite or absurdly large."
     assert finding.advice == "Check the driver or the choice of columns."
 
 

@@ -269,8 +269,8 @@ def _from_seconds(taus: Sequence[float], *, tau0: float, largest: int, name: str
     wrong = seconds[(factors < 1) | (factors > largest)]
     if wrong.size:
         msg = (
-            f"{name}: the averaging time {wrong[0]:g} s is out of reach: the samples support "
+            f"the averaging time {wrong[0]:g} s is out of reach: the samples support "
             f"{tau0:g} s to {largest * tau0:g} s; leave it out or record longer"
         )
-        raise DataError(msg)
+        raise DataError(msg, place=name)
     return np.unique(factors.astype(np.int64))

@@ -45,17 +45,15 @@ from imucal.calibration.result import AccelerometerResult, Calibration, Gyroscop
 from imucal.calibration.slow_noise import AccelerometerEstimate, estimate_accelerometer, walk_covariance
 from imucal.calibration.turn_data import Headings, Turn, TurnData, prepare_turns, start_of
 from imucal.calibration.turns import GyroNoise, TurnsFit, direction_covariance, fit_turns
-from imucal.errors import ArgumentError, DataError
+from imucal.errors import ArgumentError, DataError, Fix
 from imucal.frozen import frozen_alone
 from imucal.noise import TERMS, NoiseModel
-from imucal.recording import ReadRange, Recording, Sensor
+from imucal.recording import RAW_COUNTS, ReadRange, Recording, Sensor
 from imucal.report.result import Report
 from imucal.user_input import seconds_of
 
 __all__ = ["calibrate"]
 
-#: How a reader reports raw counts; other scales than 1 give SI units.
-_COUNTS = "count, 1 "
 #: Median length of samples in m/s² of a log of rests and turns.
 _LIKE_GRAVITY = (6.5, 14.7)
 #: Largest share of rests excluded as moved.
@@ -150,7 +148,8 @@ def calibrate(
     sigma[used] = np.sqrt(np.diag(estimate.fit.residual_covariance))
     result = _accelerometer(estimate, axes, found.keeping(used), place, si=si)
     every_turn: tuple[Turn, ...] = ()
-    trouble, rotating = "", None
+    trouble: DataError | None = None
+    rotating = None
     if turning is not None:
         both = found.keeping(used), turning.keeping(used)
         with _in_log(recording):
@@ -283,8 +282,8 @@ def _accelerometer_is_si(recording: Recording, data: Triad) -> bool:
 
 def _said_si(recording: Recording, sensor: Sensor) -> bool | None:
     """Return whether samples are in SI units, as decided when they were read; None without a reader."""
-    unit = dict(recording.source.decisions).get(f"{sensor} unit")
-    return None if unit is None else not unit.startswith(_COUNTS)
+    unit = recording.source.values.get(f"{sensor} unit")
+    return None if unit is None else unit != RAW_COUNTS
 
 
 def _first_fit(data: Triad, rests: RestMeans, place: Gravity, *, si: bool) -> AccelerometerFit:
@@ -334,7 +333,7 @@ def _irreplaceable(up: FloatArray, moved: BoolArray) -> BoolArray:
 
 def _estimate(sensor: _Sensor, place: Gravity, *, si: bool) -> AccelerometerEstimate:
     if len(sensor.rests.means) < MIN_RESTS:
-        raise DataError(f"only {len(sensor.rests.means)} rests did not move; {ADVICE}")
+        raise DataError(f"only {len(sensor.rests.means)} rests did not move", fix=Fix(ADVICE))
     return estimate_accelerometer(
         sensor.rests.means,
         sensor.covariance,
@@ -399,8 +398,8 @@ def _gyroscope(
     known: KnownAngle | None,
     frame: Frame,
     si: tuple[bool | None, bool],
-) -> tuple[GyroscopeResult, tuple[Turn, ...], str]:
-    """Return the gyroscope, its turns, and why they could not be explained.
+) -> tuple[GyroscopeResult, tuple[Turn, ...], DataError | None]:
+    """Return the gyroscope, its turns, and why they could not be explained, or None.
 
     `si` is whether the gyroscope was said to be in rad/s, and whether the accelerometer is in m/s².
     """
@@ -458,8 +457,8 @@ def _gyroscope(
 
 def _start(
     plain: TurnData | None, known: KnownAngle | None, *, said_si: bool | None
-) -> tuple[FloatArray | None, FloatArray, str]:
-    """Return where the fit of the turns begins, their known angles, and why there is no such place.
+) -> tuple[FloatArray | None, FloatArray, DataError | None]:
+    """Return where the fit of the turns begins, their known angles, and why there is no such place, or None.
 
     The start has shape (3, 3); the angles, shape (t,), are NaN if unknown. `said_si` is whether the log is in
     rad/s, None if nothing says so. A DataError is raised if no turn has the known angle.
@@ -470,18 +469,18 @@ def _start(
                 "no turn has the known angle, because none can be used: the gyroscope has gaps, is clipped "
                 "or turns for more than 60 s in each of them"
             )
-        return None, np.zeros(0), ""
+        return None, np.zeros(0), None
     unknown = np.full(len(plain.rests), np.nan)
     try:
         start = start_of(plain)
     except DataError as error:
-        return None, unknown, error.sentence
+        return None, unknown, error
     if trouble := trouble_of(start):
         return None, unknown, trouble
     if known is None:
-        return start, unknown, ""
+        return start, unknown, None
     angles, start = known_of(plain, start, known, said_si=said_si)
-    return start, angles, ""
+    return start, angles, None
 
 
 def _gyroscope_result(rest: GyroRest, turns: TurnsFit | None, *, si: bool) -> GyroscopeResult:

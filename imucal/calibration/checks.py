@@ -10,7 +10,8 @@ from imucal.arrays import BoolArray, FloatArray
 from imucal.calibration.poses import moved_rests
 from imucal.calibration.result import Calibration
 from imucal.calibration.slow_noise import AccelerometerEstimate
-from imucal.findings import Finding, Level
+from imucal.errors import DataError
+from imucal.findings import Finding, Level, as_sentence
 from imucal.frozen import frozen_alone
 
 __all__ = ["Facts", "findings_of", "worse_than_before"]
@@ -55,17 +56,17 @@ _LISTED = 4
 class Facts:
     """Facts from which the findings follow, with the calibration.
 
-    `z` are the differences of the halves of all rests in deviations, shape (m, 3) or (m, 6); `trouble` is why
-    the turns are not explained. `rate_hz` is of the gyroscope, `stamped` whether the log has time stamps.
-    `final_rate`, shape (3,), is the median size of the mean rate in the last quarter of a rest, and
-    `gyro_noise` its deviation by white noise; 0 on an axis whose samples at rest do not change.
+    `z` are the differences of the halves of all rests in deviations, shape (m, 3) or (m, 6). `trouble` is why
+    the turns are not explained, with a fix, or None. `rate_hz` is of the gyroscope, `stamped` whether the log
+    has time stamps. `final_rate`, shape (3,), is the median size of the mean rate in the last quarter of a
+    rest, and `gyro_noise` its deviation by white noise; 0 on an axis whose samples at rest do not change.
     """
 
     found: Calibration
     in_hand: bool
     z: FloatArray
     estimate: AccelerometerEstimate
-    trouble: str
+    trouble: DataError | None
     rate_hz: float
     stamped: bool
     final_rate: FloatArray
@@ -269,9 +270,10 @@ _TURNS = {
 
 def _turns(facts: Facts) -> Iterator[Finding]:
     if facts.trouble:
-        text = f"{facts.trouble[0].upper()}{facts.trouble[1:]}."
-        advice = "Calibrate without the gyroscope, or read both sensors with the same axes."
-        yield Finding("error", "turns-unexplained", text, advice, axis="gyro")
+        text = as_sentence(facts.trouble.problem)
+        (fix,) = facts.trouble.fixes
+        advice = f"{as_sentence(fix.text)} Otherwise, calibrate without the gyroscope."
+        yield Finding("error", "turns-unexplained", text, advice, axis="gyro", fix=fix)
     yield from _rate(facts)
     yield from _zeroed(facts)
     for why, finding in _TURNS.items():

@@ -23,10 +23,10 @@ from imucal.calibration.document import Intrinsics
 from imucal.calibration.frames import FRAMES
 from imucal.calibration.parameters import inverse
 from imucal.calibration.result import Calibration
-from imucal.errors import DataError
+from imucal.errors import ArgumentError, DataError, Fix
 from imucal.frozen import frozen
 from imucal.printable import one_line
-from imucal.report.exports import render as render_noise
+from imucal.report.exports import find_target
 from imucal.report.exports.config_numbers import DEFAULT_OPTIONS, ExportOptions
 from imucal.report.exports.target import comment, name_key, template
 from imucal.report.result import Report
@@ -73,11 +73,12 @@ def _targets() -> Iterator[tuple[str, CalibrationTarget]]:
 
 
 def find_calibration_target(name: str) -> CalibrationTarget:
-    """Return a program by its name, ignoring case and hyphens, or raise a ValueError."""
+    """Return a program by its name, ignoring case and hyphens, or raise an ArgumentError."""
     for target in CALIBRATION_TARGETS.values():
         if name_key(target.name) == name_key(name):
             return target
-    raise ValueError(f"no calibration format {name!r}; choose one of {', '.join(CALIBRATION_TARGETS)}")
+    fix = Fix(f"choose one of {', '.join(CALIBRATION_TARGETS)}", "target")
+    raise ArgumentError(f"no calibration format {name!r}", fix=fix)
 
 
 def render_calibration(
@@ -94,7 +95,7 @@ def render_calibration(
     if target.sign == "json":
         document = {"_imucal_calibration": lines, **json.loads(body)}
         if noise is not None and target.noise:
-            own = json.loads(render_noise(noise, target.name, options))
+            own = json.loads(find_target(target.name).render(noise, options))
             document = {**own, **document, "value0": {**own["value0"], **document["value0"]}}
         return json.dumps(document, indent=2) + "\n"
     head = comment(lines, target.sign)
@@ -102,11 +103,7 @@ def render_calibration(
         missing = f"{target.sign} no noise numbers: calibrate with --noise REPORT\n" if target.noise else ""
         start = ("%YAML:1.0\n", "imu0:\n") if target.name == "openvins" else ("", "")
         return f"{start[0]}{head}\n{missing}{start[1]}{body.rstrip()}\n"
-    first = render_noise(noise, target.name, options)
-    if target.name == "openvins":
-        # The noise file ends with identity matrices.
-        first = first[: first.index("  Tw:\n")]
-        first = "\n".join(line for line in first.splitlines() if not line.startswith("# matrices:"))
+    first = find_target(target.name).render(noise, options, calibrated=True)
     return f"{first.rstrip()}\n{head}\n{body.rstrip()}\n"
 
 
@@ -212,17 +209,17 @@ def _yaml(matrix: FloatArray) -> str:
 
 def _parameters(target: CalibrationTarget, found: Intrinsics) -> dict[str, str]:
     if not found.si:
-        msg = (
-            f"{found.source}: an autopilot corrects samples in m/s² and rad/s, but this log has counts; "
-            "read it with --accel-scale and --gyro-scale"
+        raise DataError(
+            "an autopilot corrects samples in m/s² and rad/s, but this log has counts",
+            place=found.source,
+            fix=Fix("read it with --accel-scale and --gyro-scale"),
         )
-        raise DataError(msg)
     if wrong := sorted(_CORRECTED & {topic.partition("[")[0].strip("/") for topic in found.topics}):
-        msg = (
-            f"{found.source}: the autopilot has already corrected {', '.join(wrong)}; calibrate its raw "
-            "samples, such as sensor_accel and sensor_gyro"
+        raise DataError(
+            f"the autopilot has already corrected {', '.join(wrong)}",
+            place=found.source,
+            fix=Fix("calibrate its raw samples, such as sensor_accel and sensor_gyro"),
         )
-        raise DataError(msg)
     offset, scale, turning = target.parameters
     values: dict[str, float] = {}
     for axis, factor, b in zip(_AXES, np.diag(found.diagonal_C), found.diagonal_b, strict=True):

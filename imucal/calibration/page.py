@@ -44,7 +44,7 @@ def render_page(found: Calibration, pictures: Mapping[str, bytes]) -> str:
             blocks=rows(found),
             remarks=list(remarks(found)),
             pictures=shown,
-            findings=listed_findings([("", each) for each in found.findings]),
+            findings=listed_findings(found.findings),
             targets=", ".join(name for name in CALIBRATION_TARGETS if name != "python"),
             gravity=f"{place.value:.5f} ± {1.96 * place.sigma:.2g} m/s² ({place.origin})",
             frame=FRAMES[found.frame],

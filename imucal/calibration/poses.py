@@ -11,7 +11,7 @@ from scipy.special import chdtri
 from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from imucal.calibration.mean_covariance import mean_covariance
 from imucal.clock import Clock
-from imucal.errors import DataError
+from imucal.errors import DataError, Fix
 from imucal.frozen import frozen_alone
 from imucal.noise import NoiseModel
 from imucal.recording import AXES, AxisSeries, Recording, Sensor
@@ -121,13 +121,14 @@ def triad(recording: Recording, sensor: Sensor) -> Triad | None:
     own = sorted((one for one in recording.series if one.sensor is sensor), key=lambda one: one.axis)
     if not own:
         return None
-    where = f"{recording.source.path}: the {sensor}"
     if len(own) != 3:
         names = ", ".join(series.axis for series in own)
-        raise DataError(f"{where} has only {names}; calibration needs x, y and z")
+        problem = f"the {sensor} has only {names}; calibration needs x, y and z"
+        raise DataError(problem, place=recording.source.path)
     clock = own[0].clock
     if len({(series.clock.segments, series.rate_hz) for series in own}) != 1:
-        raise DataError(f"{where} has a different clock for each axis; read it from one topic")
+        problem = f"the {sensor} has a different clock for each axis"
+        raise DataError(problem, place=recording.source.path, fix=Fix("read it from one topic"))
     samples = np.full((clock.grid_size, 3), np.nan)
     for column, series in zip(samples.T, own, strict=True):
         column[clock.grid()] = np.where(series.usable, series.samples, np.nan)

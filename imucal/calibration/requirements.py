@@ -103,7 +103,7 @@ def require_attitudes(means: FloatArray) -> None:
     norm = np.linalg.norm(means, axis=1)
     # Raw counts may have an offset that hides the direction.
     if np.all((norm > 5) & (norm < 15)) and attitudes(means / norm[:, None]) == 1:
-        raise DataError(f"all {len(means)} rests have the same attitude within 10°; {ADVICE}")
+        raise DataError(f"all {len(means)} rests have the same attitude within 10°", fix=Fix(ADVICE))
 
 
 def require_range(data: Triad, rests: RestMeans) -> None:
@@ -120,24 +120,26 @@ def require_range(data: Triad, rests: RestMeans) -> None:
         if constant.any() and np.median([np.ptp(part) for part in parts]) > _NOISY * step_of(column):
             value = float(parts[int(np.argmax(constant))][0])
             share = f"{int(constant.sum())} of {len(parts)} rests"
-            msg = (
-                f"accel_{AXES[axis]} is clipped at {value:.4g} in {share}; "
-                "choose a larger range of the accelerometer"
+            raise DataError(
+                f"accel_{AXES[axis]} is clipped at {value:.4g} in {share}",
+                fix=Fix("choose a larger range of the accelerometer"),
             )
-            raise DataError(msg)
 
 
-def trouble_of(start: FloatArray) -> str:
-    """Return why a start of the gyroscope can't be right, or an empty text."""
+def trouble_of(start: FloatArray) -> DataError | None:
+    """Return why a start of the gyroscope can't be right, with a way to fix it; None if it can be right."""
     if turned := _order_of(start):
-        return (
-            f"x, y, z of the gyroscope are {turned} of the accelerometer; give both sensors the same axes, "
-            "in the log or when reading it"
+        return DataError(
+            f"x, y, z of the gyroscope are {turned} of the accelerometer",
+            fix=Fix("give both sensors the same axes, in the log or when reading it"),
         )
     scale = float(np.median(1 / np.linalg.norm(start, axis=0)))
     if _IN_DEGREES[0] < scale < _IN_DEGREES[1]:
-        return f"the gyroscope reads {scale:.3g} for 1 rad/s: its unit is deg/s; try --gyro-unit deg/s"
-    return ""
+        return DataError(
+            f"the gyroscope reads {scale:.3g} for 1 rad/s: its unit is deg/s",
+            fix=Fix("try --gyro-unit deg/s", "gyro_unit", "deg/s"),
+        )
+    return None
 
 
 def _order_of(start: FloatArray) -> str:

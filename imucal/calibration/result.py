@@ -172,7 +172,7 @@ class Calibration(Displayed):
         """
         data = triad(recording, Sensor.ACCELEROMETER)
         if data is None:
-            raise DataError(f"{recording.source.path}: no accelerometer, which the calibration needs")
+            raise DataError("no accelerometer, which the calibration needs", place=recording.source.path)
         f = (data.samples - self.accelerometer.b) @ self.accelerometer.C.T
         corrected = {Sensor.ACCELEROMETER: f}
         own = triad(recording, Sensor.GYROSCOPE)

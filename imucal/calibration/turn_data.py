@@ -8,7 +8,7 @@ import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from imucal.calibration.poses import RestMeans, Triad
-from imucal.errors import DataError
+from imucal.errors import DataError, Fix
 from imucal.frozen import frozen, frozen_alone
 
 __all__ = [
@@ -149,7 +149,8 @@ def start_of(data: TurnData) -> FloatArray:
         return best
     raise DataError(
         "no scale of the gyroscope and no order of its axes explains the turns: the median error is "
-        f"{math.degrees(least):.0f}°; check that both sensors belong to one IMU and share one clock"
+        f"{math.degrees(least):.0f}°",
+        fix=Fix("check that both sensors belong to one IMU and share one clock"),
     )
 
 

@@ -9,7 +9,7 @@ from imucal._version import __version__
 from imucal.calibration.document import CalibrationDocument, SensorEntry
 from imucal.checking.limits import CALIBRATION_UNITS, Limit, Limits
 from imucal.checking.verdict import CheckResult, Row, are_of_noise, finding_rows, judge
-from imucal.errors import LimitsError
+from imucal.errors import Fix, LimitsError
 from imucal.grading import BY_LEVEL, GRADE_TEXTS, GRADES, Grade, NoiseVerdict
 from imucal.recording import Sensor
 from imucal.report.numbers import Quantity
@@ -24,11 +24,12 @@ def check_calibration(found: CalibrationDocument, limits: Limits) -> CheckResult
     """
     source = found.source.path
     if are_of_noise(limits) and not limits.calibration:
-        msg = (
-            f"{source}: this is a calibration, and the limits are for noise; write limits such as "
-            '[calibration.accelerometer] scale = { max = 2, unit = "%" }, or check a noise report'
+        advice = (
+            'write limits such as [calibration.accelerometer] scale = { max = 2, unit = "%" }, '
+            "or check a noise report"
         )
-        raise LimitsError(msg)
+        problem = "this is a calibration, and the limits are for noise"
+        raise LimitsError(problem, place=source, fix=Fix(advice))
     findings = found.findings
     codes = ", ".join(dict.fromkeys(finding.code for finding in findings)) or "no findings"
     grade: Grade = max((BY_LEVEL[finding.level] for finding in findings), key=GRADES.index, default="good")
@@ -51,7 +52,7 @@ def _calibrated(found: CalibrationDocument, limit: Limit) -> Iterator[Row]:
     sensor = Sensor(limit.where.rpartition(".")[2])
     where, entry = sensor.short, _entry(found, sensor)
     if entry is None:
-        yield Row(where, limit.quantity, "fail", f"{where}: the calibration has no {sensor}")
+        yield Row(where, limit.quantity, "fail", f"the calibration has no {sensor}")
         return
     for name, size in _sizes(found, entry, sensor, limit.quantity):
         row = judge(
@@ -63,10 +64,8 @@ def _calibrated(found: CalibrationDocument, limit: Limit) -> Iterator[Row]:
             unit=limit.unit,
         )
         if size is None:
-            text = (
-                f"{where}: the log does not determine {name}; add the rests and turns that the findings name"
-            )
-            row = replace(row, text=text)
+            text = f"the log does not determine {name}; add the rests and turns that the findings name"
+            row = replace(row, found=text)
         yield row
 
 

@@ -10,19 +10,19 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 
 from imucal.checking.limits import text_of
 from imucal.checking.verdict import WORST_FIRST, Row, Verdict
-from imucal.errors import LimitsError
+from imucal.errors import Fix, LimitsError
 from imucal.noise.terms import TERMS
-from imucal.prediction.filter_numbers import LEVEL, STEP_S, covered_frequencies
+from imucal.prediction.filter_numbers import LEVEL, covered_frequencies
 from imucal.prediction.propagation import MEAN, Caution, upper_limit
 from imucal.recording import Sensor
 from imucal.report.exports import TARGETS
-from imucal.report.exports.config_numbers import AxisPolicy, ExportOptions, Numbers
+from imucal.report.exports.config_numbers import Numbers, read_options
 from imucal.report.exports.target import Key, Target, real
 from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
@@ -77,8 +77,9 @@ class Setting(NamedTuple):
         found = tuple(map(_number, self.written))
         return found if all(map(math.isfinite, found)) else ()
 
-    def place(self, where: str) -> str:
-        return f"{where}: {self.file}:{self.line}: {self.name}"
+    @property
+    def place(self) -> str:
+        return f"{self.file}:{self.line}: {self.name}"
 
     def is_called(self, name: str) -> bool:
         return self.name == name or self.name.endswith((f"/{name}", f".{name}"))
@@ -131,7 +132,13 @@ def check_config(path: Path, report: Report) -> tuple[Row, ...]:
     read or has an unknown format, and DataError if the report lacks an axis that the format needs.
     """
     text = text_of(path, "the config file of a filter")
-    settings, options = read_settings(text, path.name), _options(text)
+    settings = read_settings(text, path.name)
+    try:
+        options = read_options(text)
+    except ValueError as error:
+        problem = "the line of imucal's options in a comment is not valid"
+        fix = Fix("remove the line, or export the file again")
+        raise LimitsError(problem, place=path, fix=fix) from error
     there = {setting.name for setting in settings}
     # Of several formats with the same keys, choose the one with the most other lines in the file.
     own, target = max(
@@ -140,20 +147,6 @@ def check_config(path: Path, report: Report) -> tuple[Row, ...]:
     )
     numbers = target.numbers(report, options)
     return (*_noise_rows(settings, target.keys, own, numbers), *_rate_rows(settings, own, numbers.stream_hz))
-
-
-def _options(text: str) -> ExportOptions:
-    inflated = re.search(r"inflation: (.*); ALREADY", text)
-    factors = re.findall(r"(\w+) \([^)]*\) x ([\d.e+-]+)", inflated[1]) if inflated else []
-    axes = re.search(r"axes: (\w+)", text)
-    policies: dict[str, AxisPolicy] = {policy: policy for policy in get_args(AxisPolicy)}
-    times = re.search(r"aided every (\S+) s or slower, horizon (\S+) s", text)
-    return ExportOptions(
-        inflate={name: float(factor) for name, factor in factors},
-        axis_policy=policies.get(axes[1] if axes else "", "worst"),
-        step_s=float(times[1]) if times else STEP_S,
-        horizon_s=float(times[2]) if times else None,
-    )
 
 
 def _names(key: Key) -> tuple[str, ...]:
@@ -170,7 +163,7 @@ def _formats(path: Path, settings: Sequence[Setting]) -> list[Target]:
     most = max(counts.values())
     if not most:
         known = ", ".join(name for name in counts if TARGETS[name].keys)
-        raise LimitsError(f"{path}: found no noise parameter; expected a file of one of {known}")
+        raise LimitsError(f"found no noise parameter; expected a file of one of {known}", place=path)
     return [TARGETS[name] for name, count in counts.items() if count == most]
 
 
@@ -181,11 +174,11 @@ def _rate_rows(settings: Sequence[Setting], own: Sequence[Setting], rate_hz: flo
             continue
         same = abs(setting.numbers[0] / rate_hz - 1) <= _SAME_RATE
         instead = "" if same else setting.with_number(real(rate_hz))
-        text = f"{setting.place('log')} is {setting.numbers[0]:g} Hz, and the log has {rate_hz:g} Hz"
+        found = f"{setting.place} is {setting.numbers[0]:g} Hz, and the log has {rate_hz:g} Hz"
         if instead:
-            text += f"; unless the IMU has another rate than the log, write '{instead}'"
+            found += ", perhaps another rate than the IMU"
         verdict: Verdict = "undecided" if instead else "pass"
-        yield Row("log", setting.name, verdict, text, instead=instead)
+        yield Row("log", setting.name, verdict, found, instead=instead)
 
 
 def _noise_rows(
@@ -198,8 +191,8 @@ def _noise_rows(
     for key, i, setting in there:
         short = key.sensor.short
         if key.sensor not in numbers.sensors:
-            text = f"{short}: {setting.name}: the report has no {key.sensor}; use a report with one"
-            yield Row(short, setting.name, "undecided", text)
+            found = f"{setting.place}: the report has no {key.sensor}; use a report with one"
+            yield Row(short, setting.name, "undecided", found)
             continue
         mates = [(k, s) for k, j, s in there if (k.sensor, j) == (key.sensor, i) and k.symbol != key.symbol]
         axes = (numbers.triad(key.sensor)[i],) if "{" in key.name else numbers.chosen(key.sensor)
@@ -248,12 +241,11 @@ def _noise_row(setting: Setting, wanted: "_Wanted", spelled: str, shared: str) -
     alone = verdict != "pass" or number >= right
     instead = setting.with_number(spelled) if message and alone else ""
     shown = " ".join(setting.written) if math.isnan(number) else f"{number:.4g} {key.unit}"
-    text = f"{setting.place(key.sensor.short)} is {shown}; {message or 'enough for this sensor'}"
     return Row(
         key.sensor.short,
         setting.name,
         verdict,
-        f"{text}; write '{instead}'" if instead else text,
+        f"{setting.place} is {shown}; {message or 'enough for this sensor'}",
         side="min" if alone else None,
         limit=right if alone else None,
         unit=key.unit,

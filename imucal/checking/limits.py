@@ -142,7 +142,7 @@ def text_of(path: Path, expected: str) -> str:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
-        raise LimitsError(f"{path}: can't be read ({reason}); expected {expected}") from error
+        raise LimitsError(f"can't be read ({reason}); expected {expected}", place=path) from error
 
 
 def parse_limits(text: str, *, name: str = "limits", folder: Path | None = None) -> Limits:
@@ -153,8 +153,8 @@ def parse_limits(text: str, *, name: str = "limits", folder: Path | None = None)
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        msg = f"{name}: not valid TOML ({error}); expected limits such as [gyroscope] N = {{ max = 1e-4 }}"
-        raise LimitsError(msg) from error
+        problem = f"not valid TOML ({error}); expected limits such as [gyroscope] N = {{ max = 1e-4 }}"
+        raise LimitsError(problem, place=name) from error
     file = _Value(document, name)
     sections: dict[str, object] = {section: {} for section in _SECTIONS}
     others = {"findings": None, "baseline": None, "undecided": "pass"}
@@ -260,7 +260,7 @@ class _Value:
 
     def refuse(self, found: str, expected: str) -> NoReturn:
         where = f"{self.file}: {self.place}" if self.place else self.file
-        raise LimitsError(f"{where}: {found}{';' if expected.endswith('?') else ','} {expected}")
+        raise LimitsError(f"{found}{';' if expected.endswith('?') else ','} {expected}", place=where)
 
     def maybe(self, read: "Callable[[_Value], T]") -> T | None:
         return None if self.value is None else read(self)

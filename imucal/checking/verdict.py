@@ -18,7 +18,7 @@ from imucal.checking.limits import (
     Side,
 )
 from imucal.comparison import paired, ratio
-from imucal.errors import LimitsError
+from imucal.errors import Fix, LimitsError
 from imucal.findings import Finding
 from imucal.frozen import frozen
 from imucal.grading import NoiseVerdict
@@ -36,7 +36,7 @@ WORST_FIRST: tuple[Verdict, ...] = ("fail", "undecided", "pass")
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One verdict on an axis, a sensor or the ``log``, with a sentence.
+    """One verdict on an axis, a sensor or the ``log``, and what was `found` there.
 
     `side` and `limit` are None if the rule is not a number; `measured`, in the same unit, is None if nothing
     was measured. `instead` replaces a wrong or doubtful line of a config file.
@@ -45,13 +45,19 @@ class Row:
     where: str
     subject: str
     verdict: Verdict
-    text: str
+    found: str
     _: KW_ONLY
     side: Side | None = None
     limit: float | None = None
     unit: str = ""
     measured: Quantity | None = None
     instead: str = ""
+
+    @property
+    def text(self) -> str:
+        """The sentence ``gyro_x: N is …; above the largest allowed, …``, and a better line."""
+        advice = f"; write '{self.instead}'" if self.instead else ""
+        return f"{self.where}: {self.found}{advice}"
 
     @property
     def rule(self) -> str:
@@ -96,7 +102,7 @@ def judge(
     """Return the verdict on one limit; `measured` has the same unit, or is None if the model lacks it."""
     verdict: Verdict = "undecided"
     if measured is None:
-        text = f"the model has no {subject} and no bound for it; fit a model with it, or remove the limit"
+        found = f"the model has no {subject} and no bound for it; fit a model with it, or remove the limit"
     else:
         most, beyond, up = ("largest", "above", 1) if side == "max" else ("smallest", "below", -1)
         allowed = f"the {most} allowed, {limit:.6g}"
@@ -107,9 +113,8 @@ def judge(
         elif up * near > up * limit:
             verdict, message = "fail", f"{beyond} {allowed}"
         shown = f"{'not detected, but ' * (measured.value is None)}{measured.text()} {unit}".rstrip()
-        text = f"{subject} is {shown}; {message}"
-    text = f"{where}: {text}"
-    return Row(where, subject, verdict, text, side=side, limit=limit, unit=unit, measured=measured)
+        found = f"{subject} is {shown}; {message}"
+    return Row(where, subject, verdict, found, side=side, limit=limit, unit=unit, measured=measured)
 
 
 def check(report: Report, limits: Limits, *, baseline: Report | None = None) -> CheckResult:
@@ -119,11 +124,11 @@ def check(report: Report, limits: Limits, *, baseline: Report | None = None) -> 
     limits are for a calibration; ReadError if the older report can't be read.
     """
     if limits.calibration and not are_of_noise(limits):
-        msg = (
-            f"{report.source.path}: this is a noise report, and the limits are for a calibration; write "
-            "limits such as [gyroscope] N = { max = 1e-4 }, or check the folder of 'imucal calibrate'"
+        advice = (
+            "write limits such as [gyroscope] N = { max = 1e-4 }, or check the folder of 'imucal calibrate'"
         )
-        raise LimitsError(msg)
+        problem = "this is a noise report, and the limits are for a calibration"
+        raise LimitsError(problem, place=report.source.path, fix=Fix(advice))
     rows = [
         *_axes_there(report, limits),
         *chain.from_iterable(_limit(report, limit) for limit in limits.limits),
@@ -158,16 +163,15 @@ def _axes_there(report: Report, limits: Limits) -> Iterator[Row]:
     found = ", ".join(axis.name for axis in report.axes) or "none"
     for name in dict.fromkeys(_wanted(report, limits)):
         if name not in there:
-            yield Row(name, "axes", "fail", f"{name}: the report has no such axis; found {found}")
+            yield Row(name, "axes", "fail", f"the report has no such axis; found {found}")
     for name in dict.fromkeys(limit.where for limit in limits.limits):
         if "_" not in name and not _axes_of(report, name):
             where = Sensor(name).short if name in tuple(Sensor) else name
-            yield Row(where, "axes", "fail", f"{name}: the report has no axis of this sensor; found {found}")
+            yield Row(where, "axes", "fail", f"the report has no axis of this sensor; found {found}")
     for sensor, axes in limits.required.items():
         asked = {f"{sensor.short}_{axis}" for axis in axes}
         if asked <= there:
-            text = f"{sensor}: {', '.join(sorted(asked))} are present"
-            yield Row(sensor.short, "axes", "pass", text)
+            yield Row(sensor.short, "axes", "pass", f"{', '.join(sorted(asked))} are present")
 
 
 def _wanted(report: Report, limits: Limits) -> Iterator[str]:
@@ -212,17 +216,17 @@ def finding_rows(findings: Iterable[Finding], rules: FindingRules) -> Iterator[R
     forbidden = [finding for finding in found if rules.forbids(finding.level, finding.code)]
     for finding in forbidden:
         where = finding.axis or "log"
-        text = f"{where}: forbidden {finding.level} [{finding.code}]: {finding.text}"
+        text = f"forbidden {finding.level} [{finding.code}]: {finding.text}"
         yield Row(where, finding.code, "fail", text)
     if not forbidden and (rules.level != "none" or rules.forbid):
-        yield Row("log", "findings", "pass", "log: no forbidden finding")
+        yield Row("log", "findings", "pass", "no forbidden finding")
 
 
 def _baseline(report: Report, before: Report, rules: Baseline) -> Iterator[Row]:
     there = {axis.name: axis for axis in report.axes}
     for old in before.axes:
         if old.name not in there:
-            yield Row(old.name, "axes", "fail", f"{old.name}: in the baseline, but not in the report")
+            yield Row(old.name, "axes", "fail", "in the baseline, but not in the report")
             continue
         yield from _changes(there[old.name], old, rules)
 
@@ -234,8 +238,7 @@ def _changes(now: AxisReport, before: AxisReport, rules: Baseline) -> Iterator[R
             continue
         subject = f"{key} / baseline"
         if old is None:
-            text = f"{now.name}: the baseline's model has no {key}"
-            yield Row(now.name, subject, "undecided", text)
+            yield Row(now.name, subject, "undecided", f"the baseline's model has no {key}")
             continue
         change = (
             Quantity.exactly(1.0) if same else ratio(numbers.si(new, now.sensor), numbers.si(old, now.sensor))

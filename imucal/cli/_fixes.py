@@ -21,6 +21,8 @@ _OPTIONS = {
     "rest_at_least": "--rest-at-least",
     "in_hand": "--in-hand",
     "model": "--sensor",
+    "rests": "--rests",
+    "force": "--force",
 }
 
 

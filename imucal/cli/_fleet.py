@@ -133,7 +133,7 @@ def print_failures(logs: "pl.DataFrame") -> int:
     for path, status, verdict, reason in logs.select("path", "status", "verdict", "reason").iter_rows():
         if has_failed(status, verdict):
             kind, why = ("not noise", "not noise") if status == "ok" else (status, reason)
-            groups.setdefault(kind, []).append(why if path in why else f"{path}: {why}")
+            groups.setdefault(kind, []).append(f"{path}: {why}")
     for kind, texts in groups.items():
         print_note(f"{kind}: {len(texts)}")
         for text in texts[:_NAMED]:

@@ -15,7 +15,7 @@ import click
 from imucal.cli.context import is_set
 from imucal.errors import DataError
 from imucal.findings import Finding, options_to_keep
-from imucal.grading import NoiseVerdict
+from imucal.grading import NoiseVerdict, refusal
 from imucal.printable import printable, printable_json
 
 if TYPE_CHECKING:
@@ -85,13 +85,13 @@ FindingText: TypeAlias = tuple[str, str, str]
 _STYLES: dict[str, str] = {"error": "bold red", "warning": "yellow", "info": "cyan"}
 
 
-def finding_text(finding: Finding, text: str | None = None) -> FindingText:
-    """Return level, code and sentence of a finding: its text (or `text`), the advice, and the option."""
+def finding_text(finding: Finding) -> FindingText:
+    """Return level, code and sentence of a finding: its text, the advice, and the option."""
     option = f"Try {options_to_keep(finding.keep_s)}." if finding.keep_s else ""
     if finding.fix and finding.fix.argument == "columns":
         option = "Use --columns."
-    parts = (finding.text if text is None else text, finding.advice, option)
-    return finding.level, finding.code, " ".join(filter(None, parts))
+    sentence = " ".join(filter(None, (finding.text, finding.advice, option)))
+    return finding.level, finding.code, sentence
 
 
 def sentence_of(axes: Sequence[str], message: FindingText) -> str:
@@ -125,7 +125,7 @@ def _grave_first(findings: Sequence[Finding]) -> Iterator[tuple[FindingText, lis
     """Yield findings to print, errors first: text, axes, and the axes of each finding that it replaces."""
     about: dict[FindingText, list[str]] = {}
     for finding in findings:
-        message = finding_text(finding, finding.text.removeprefix(f"{finding.axis}: "))
+        message = finding_text(finding)
         about.setdefault(message, []).extend([finding.axis] if finding.axis else [])
     ordered = [(message, axes) for level in _STYLES for message, axes in about.items() if message[0] == level]
     lead: dict[tuple[str, str], FindingText] = {}
@@ -155,26 +155,23 @@ def name_of_log(log: str) -> str:
 
 def refuse(
     verdict: NoiseVerdict,
-    where: str,
-    consequence: str,
+    findings: Sequence[Finding],
     *,
-    findings: Sequence[Finding] = (),
-    remedy: str = "record again at rest, or --force",
+    place: object,
+    consequence: str,
     printed: bool = False,
 ) -> None:
     """Raise a DataError, exit code 4, if data are not noise at rest (unless forced) or --strict forbids them.
 
-    --strict forbids warnings and errors among the `findings`. The message contains `where`, the `consequence`
-    (such as whether a file was written) and the `remedy`. `printed`: the results were already printed.
+    --strict forbids warnings and errors among the `findings`. The message contains the `place` and the
+    `consequence`, such as whether a file was written. `printed`: the results were already printed.
     """
     if not verdict.usable and not is_set("force"):
-        sentence = verdict.sentence[0].lower() + verdict.sentence[1:]
-        msg = f"{where}: {sentence}; {consequence}; {remedy}"
+        error = refusal(verdict, findings, place=place, consequence=consequence)
     elif is_set("strict") and (codes := {f.code: None for f in findings if f.level != "info"}):
-        msg = f"{where}: {', '.join(codes)} found; --strict allows no warning"
+        error = DataError(f"{', '.join(codes)} found; --strict allows no warning", place=place)
     else:
         return
-    error = DataError(msg)
     error.printed = printed
     raise error
 

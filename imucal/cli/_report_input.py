@@ -12,7 +12,7 @@ from imucal.calibration.writer import is_calibration
 from imucal.cli._printing import as_typed, name_of_log, print_note
 from imucal.cli.context import misuse
 from imucal.cli.log_request import LogRequest
-from imucal.errors import ReadError
+from imucal.errors import Fix, ReadError
 from imucal.recording import Sensor
 from imucal.remote import is_url
 from imucal.remote.addresses import shown
@@ -125,13 +125,14 @@ def read_report(report: str | Path) -> Report:
             return load(reports.paths[0])
     path = Path(report)
     if path.is_file() and path.suffix != ".json":
-        raise ReadError(f"{path}: not a report.json or its folder; run 'imucal fit {as_typed(path)}' first")
+        problem = "not a report.json or its folder"
+        raise ReadError(problem, place=path, fix=Fix(f"run 'imucal fit {as_typed(path)}' first"))
     if path.exists() and is_calibration(path):
         msg = (
-            f"{path}: a calibration, not a report of noise; to see its values in a file, type "
+            f"a calibration, not a report of noise; to see its values in a file, type "
             f"'imucal export {as_typed(path)} --to yaml -o -'"
         )
-        raise ReadError(msg)
+        raise ReadError(msg, place=path)
     return load(path)
 
 

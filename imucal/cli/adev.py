@@ -12,8 +12,8 @@ from imucal.cli.log_request import LogRequest
 from imucal.cli.options import ADVANCED, OUTPUT, Command, flag, force, level, log_options, option, unwrapped
 from imucal.cli.param_types import TAUS
 from imucal.errors import DataError
-from imucal.findings import Finding
-from imucal.grading import judge_findings, remedy
+from imucal.findings import Finding, as_sentence
+from imucal.grading import judge_findings
 from imucal.recording import AxisSeries, Recording
 
 _EPILOG = unwrapped("""
@@ -81,8 +81,8 @@ def command(
         except DataError as error:
             failures[series.name] = error
     if not axes:
-        msg = f"{recording.source.path}: found no axis of a gyroscope or an accelerometer"
-        raise next(iter(failures.values()), DataError(msg))
+        missing = DataError("found no axis of a gyroscope or an accelerometer", place=recording.source.path)
+        raise next(iter(failures.values()), missing)
     findings = _findings(recording, failures)
     verdict = judge_findings(findings, [series.name for series in recording.series])
     if as_json:
@@ -101,7 +101,7 @@ def command(
     if verdict.usable:
         print_note(verdict.sentence)
     path = recording.source.path
-    refuse(verdict, path, "the curves were printed", findings=findings, remedy=remedy(findings), printed=True)
+    refuse(verdict, findings, place=path, consequence="the curves were printed", printed=True)
 
 
 def _findings(recording: Recording, failures: dict[str, DataError]) -> list[Finding]:
@@ -110,7 +110,10 @@ def _findings(recording: Recording, failures: dict[str, DataError]) -> list[Find
     from imucal.pipeline import screen
 
     found = advised(recording, (*recording.findings, *screen(recording)))
-    failed = [Finding("error", "no-result", f"{error}.", axis=axis) for axis, error in failures.items()]
+    failed = [
+        Finding("error", "no-result", as_sentence(error.sentence), axis=axis)
+        for axis, error in failures.items()
+    ]
     return [one for one in found if one.code != "no-data" or one.axis not in failures] + failed
 
 

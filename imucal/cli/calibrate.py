@@ -12,7 +12,6 @@ from imucal.cli._printing import (
     print_findings,
     print_note,
     progress,
-    refuse,
     width,
     wrapped,
 )
@@ -24,7 +23,7 @@ from imucal.cli.options import OUTPUT, Command, context_flag, flag, log_options,
 from imucal.cli.param_types import ANGLE, DURATION, PATH, Number
 from imucal.cli.simulate import log_to_write
 from imucal.errors import ChoiceError, DataError, Fix, ImucalError
-from imucal.grading import remedy
+from imucal.grading import refusal
 from imucal.printable import printable_json
 from imucal.recording import AXES, Sensor
 
@@ -177,7 +176,8 @@ def _with_counts(error: ImucalError) -> ImucalError:
 def _noise_report(path: Path) -> "Report":
     """Load the report of the noise; refuse data that are not noise at rest, unless forced."""
     report = read_report(path)
-    refuse(report.verdict, str(path), "nothing was calibrated", remedy=remedy(report.all_findings))
+    if not (report.verdict.usable or is_set("force")):
+        raise refusal(report.verdict, report.all_findings, place=path, consequence="nothing was calibrated")
     return report
 
 
@@ -209,10 +209,10 @@ def _write_corrected(corrected: "Recording", path: Path) -> None:
     clocks = {(series.clock.segments, series.clock.start_ns, series.rate_hz) for series in corrected.series}
     if len(corrected.series) != len(Sensor) * len(AXES) or len(clocks) != 1:
         msg = (
-            f"{path}: expected a gyroscope and an accelerometer with the same time stamps; apply the "
+            "expected a gyroscope and an accelerometer with the same time stamps; apply the "
             "calibration in Python: imucal.calibrate(recording).apply(recording)"
         )
-        raise DataError(msg)
+        raise DataError(msg, place=path)
     write_log(corrected, path)
     print_note(f"Wrote {path}: the corrected log")
 
@@ -221,10 +221,10 @@ def _end(verdict: str, where: str, codes: list[str]) -> None:
     """End with exit code 4 if the result is not usable, or if --strict forbids a warning."""
     listed = ", ".join(dict.fromkeys(codes))
     if verdict == "not-usable" and not is_set("force"):
-        advice = "try --no-gyro for the accelerometer alone, or --force"
-        error = DataError(f"{where}: {listed} found; nothing was written; {advice}")
+        fix = Fix("try --no-gyro for the accelerometer alone, or --force")
+        error = DataError(f"{listed} found; nothing was written", place=where, fix=fix)
     elif codes and is_set("strict"):
-        error = DataError(f"{where}: {listed} found; --strict allows no warning")
+        error = DataError(f"{listed} found; --strict allows no warning", place=where)
     else:
         return
     error.printed = True

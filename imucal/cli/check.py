@@ -233,8 +233,8 @@ def _lines(row: Row, where: int, rule: int) -> list[str]:
     if measured is not None and width() < FULL:
         place, *more = textwrap.wrap(f"{row.where:<{where}} {row.rule}", width() - 10)
         return [f"{verdict} {place}", *(f"{' ' * 8}{line}" for line in (*more, measured.text()))]
-    text = printable(row.text).partition(": ")[2]  # without the place, which has its column
+    found = f"{row.found}; write" if row.instead else row.found
+    first, *rest = textwrap.wrap(printable(found), width() - start)
     # The line to copy must not be wrapped.
-    text = text.removesuffix(f" '{row.instead}'") if row.instead else text
-    first, *rest = [*textwrap.wrap(text, width() - start), *([row.instead] if row.instead else [])] or [""]
+    rest += [printable(row.instead)] if row.instead else []
     return [f"{verdict} {row.where:<{where}} {first}", *(" " * start + line for line in rest)]

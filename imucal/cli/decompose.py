@@ -26,7 +26,6 @@ from imucal.cli.options import (
 )
 from imucal.cli.param_types import DURATION
 from imucal.errors import DataError
-from imucal.grading import remedy
 from imucal.recording import AxisSeries, Recording, Sensor
 
 if TYPE_CHECKING:
@@ -138,7 +137,7 @@ def command(
     for written in files.paths:
         print_note(written)
     findings = report.all_findings
-    refuse(report.verdict, path, f"{folder.path} was written", findings=findings, remedy=remedy(findings))
+    refuse(report.verdict, findings, place=path, consequence=f"{folder.path} was written")
     if failed:
         click.get_current_context().exit(DataError.exit_code)
 
@@ -149,7 +148,7 @@ def _only(recording: Recording, axes: tuple[str, ...]) -> Recording:
     missing = [name for name in axes if name not in {series.name for series in recording.series}]
     if missing:
         found = ", ".join(series.name for series in recording.series) or "none"
-        raise DataError(f"{recording.source.path}: no axis {', '.join(missing)}; found {found}")
+        raise DataError(f"no axis {', '.join(missing)}; found {found}", place=recording.source.path)
     return replace(recording, series=chosen)
 
 

@@ -20,7 +20,6 @@ from imucal.cli.options import (
     unwrapped,
 )
 from imucal.cli.param_types import DURATION, Text
-from imucal.grading import remedy
 from imucal.prediction import Drift, drift
 from imucal.prediction.drift import STRETCHES
 from imucal.report import numbers
@@ -95,7 +94,7 @@ def command(
             "--out",
         )
     report = load_report(request)
-    refuse(report.verdict, request.logs[0], "nothing was predicted", remedy=remedy(report.all_findings))
+    refuse(report.verdict, report.all_findings, place=request.logs[0], consequence="nothing was predicted")
     try:
         found = drift(report, times, rest_s=rest, each_axis=all_axes)
     except ValueError as error:

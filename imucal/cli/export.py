@@ -15,7 +15,7 @@ from imucal.calibration.document import load_intrinsics
 from imucal.calibration.exports import CALIBRATION_TARGETS, find_calibration_target, render_calibration
 from imucal.calibration.writer import NOISE_NAME, is_calibration
 from imucal.cli._fleet import is_fleet, read_fleet
-from imucal.cli._printing import echo, print_note, refuse
+from imucal.cli._printing import echo, print_note
 from imucal.cli._report_input import load_report
 from imucal.cli.context import is_set, misuse
 from imucal.cli.log_request import LogRequest
@@ -32,12 +32,11 @@ from imucal.cli.options import (
 )
 from imucal.cli.param_types import DURATION, Text
 from imucal.errors import DataError
-from imucal.grading import remedy
 from imucal.prediction.filter_numbers import STEP_S
 from imucal.recording import Sensor
 from imucal.remote.addresses import shown as shown_address
 from imucal.report import exports
-from imucal.report.exports.config_numbers import INFLATABLE, AxisPolicy, Basis, vague_axes
+from imucal.report.exports.config_numbers import INFLATABLE, AxisPolicy, Basis
 from imucal.report.exports.target import name_key
 from imucal.report.json_file import load
 from imucal.report.result import Report
@@ -49,12 +48,9 @@ _TITLES = {target.name: target.title for target in exports.TARGETS.values()}
 
 
 def _target_name(text: str) -> str:
-    """Return the name as typed; a ValueError if it is neither a downstream format nor all."""
+    """Return the name as typed; an ArgumentError if it is neither a downstream format nor all."""
     if text != "all" and name_key(text) not in map(name_key, CALIBRATION_TARGETS):
-        try:
-            exports.find_target(text)
-        except ValueError as error:
-            raise ValueError(f"{error}, all") from error
+        exports.find_target(text, others=["all"])
     return text
 
 
@@ -206,13 +202,8 @@ def command(
         return
     _require_noise_targets(targets, shown_address(request.logs[0]))
     report = _report(request, fleet_model, median=median)
-    refuse(report.verdict, request.logs[0], "nothing was exported", remedy=remedy(report.all_findings))
-    if (axes := vague_axes(report)) and not is_set("force"):
-        msg = (
-            f"{request.logs[0]}: N of {', '.join(axes)} is uncertain by more than a factor of 10; nothing "
-            "was exported; record for longer, or --force"
-        )
-        raise DataError(msg)
+    if not is_set("force"):
+        exports.refuse_unsound(report, place=request.logs[0])
     names = tuple(exports.TARGETS) if "all" in targets else _names(targets)
     texts = {exports.TARGETS[name].file_name: exports.render(report, name, chosen) for name in names}
     _write(texts, out, several=len(names) > 1)

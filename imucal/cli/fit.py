@@ -27,7 +27,7 @@ from imucal.cli.options import (
     unwrapped,
 )
 from imucal.fitting import METHODS
-from imucal.grading import remedy, unit_fix
+from imucal.grading import unit_fix
 from imucal.printable import printable_json
 
 if TYPE_CHECKING:
@@ -136,9 +136,8 @@ def command(
         if report.verdict.usable:
             print_note(_next_step(report, folder))
     written = "nothing was written" if no_report else f"see {folder}"
-    where = report.source.path
     findings = (*report.all_findings, *missing)
-    refuse(report.verdict, where, written, findings=findings, remedy=remedy(findings), printed=True)
+    refuse(report.verdict, findings, place=report.source.path, consequence=written, printed=True)
 
 
 def _next_step(report: "Report", folder: Path) -> str:

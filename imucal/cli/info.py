@@ -155,9 +155,7 @@ def _findings(found: Recording) -> tuple[Finding, ...]:
 def _without_repeated_note(topic: TopicContents, found: Reading) -> TopicContents:
     """Return a topic, without its note if that only repeats the decisions about units."""
     decisions = found.source.decisions if isinstance(found, Recording) else ()
-    repeated = topic.note == "; ".join(
-        f"{question} {answer}" for question, answer in decisions if "unit" in question
-    )
+    repeated = bool(topic.decisions) and set(topic.decisions) <= set(decisions)
     return replace(topic, note="") if repeated else topic
 
 

@@ -26,8 +26,12 @@ from imucal.fitting.noise_fit import CHANCE, Estimate, Interval, Segments, TermH
 from imucal.frozen import frozen
 from imucal.recording import AxisSeries
 
-#: Largest and least number of windows, least number of samples of a window.
-_MAX_WINDOWS, _MIN_WINDOWS, _MIN_WINDOW_SAMPLES = 1024, 24, 128
+#: Largest number of windows; more do not find more.
+_MAX_WINDOWS = 1024
+#: Least number of windows that show a change.
+_MIN_WINDOWS = 24
+#: Least number of samples of a window.
+_MIN_WINDOW_SAMPLES = 128
 #: Steps squared at a time, to stay in the cache.
 _PART = 1 << 16
 #: Score of von Neumann's ratio from which the variance changes.

@@ -17,7 +17,7 @@ import scipy
 
 from imucal.arguments import takes
 from imucal.arrays import FloatArray
-from imucal.errors import ArgumentError, DataError
+from imucal.errors import ArgumentError, DataError, Fix
 from imucal.findings import Finding
 from imucal.fitting.bins import Bins
 from imucal.fitting.noise_fit import MISFIT, Estimate, Goodness, NoiseFit, keyed
@@ -269,7 +269,8 @@ def _bins_of(fits: Sequence[NoiseFit]) -> list[Bins]:
         if fit.bins is None:
             which = f"fit {number} of {len(fits)} ({fit.method})"
             advice = "fit the samples of each record with imucal.fit; a report.json contains no bins"
-            raise DataError(f"{which}: found no bins, expected the bins of method 'mle'; {advice}")
+            problem = "found no bins, expected the bins of method 'mle'"
+            raise DataError(problem, place=which, fix=Fix(advice))
     return [fit.bins for fit in fits if fit.bins is not None]
 
 
@@ -289,4 +290,4 @@ def _refuse_different(fits: Sequence[NoiseFit]) -> None:
         else:
             continue
         where = f"fit {number} of {len(fits)}"
-        raise DataError(f"{where}: found {text[0]}, expected {text[1]} as in fit 1; {advice}")
+        raise DataError(f"found {text[0]}, expected {text[1]} as in fit 1", place=where, fix=Fix(advice))

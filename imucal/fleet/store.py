@@ -19,7 +19,7 @@ from typing import Any
 import polars as pl
 
 from imucal.atomic import replacing, sweep, sync_folder
-from imucal.errors import ReadError, StoreError, WriteError
+from imucal.errors import Fix, ReadError, StoreError, WriteError
 from imucal.locks import locked
 
 #: Results of a log. The first three depend on the log alone; the others may change in another run.
@@ -30,11 +30,12 @@ _TEXT, _REAL, _COUNT = pl.String(), pl.Float64(), pl.Int64()
 LABELS = {"model": _TEXT, "unit": _TEXT, "temperature_c": _REAL, "started": _TEXT}
 #: One row per requested log; free columns of text may follow.
 MANIFEST = {"path": _TEXT, **LABELS, "options": _TEXT, "copy_of": _TEXT}
-#: One row per finished log. `edge` is a checksum of size and both ends, `finished` a Unix time in s.
+#: One row per finished log. `reason` is the sentence of an error without the log's path, and `code` its name
+#: for programs. `edge` is a checksum of size and both ends, `finished` a Unix time in s.
 LOGS = {
     **dict.fromkeys(("key", "content", "edge", "path"), _TEXT),
     **LABELS,
-    **dict.fromkeys(("status", "reason", "verdict"), _TEXT),
+    **dict.fromkeys(("status", "reason", "code", "verdict"), _TEXT),
     "findings": pl.List(_TEXT),
     "samples": _COUNT,
     **dict.fromkeys(("seconds", "rate_hz"), _REAL),
@@ -90,7 +91,8 @@ class FleetStore:
             # Another run may start here, too: its scratch files and its lock begin with a dot.
             if strange := [name for name in names if not name.startswith(".")]:
                 found = f"contains {', '.join(strange[:3])} but no imucal fleet"
-                raise WriteError(f"{self.folder}: {found}; nothing was changed; choose another folder")
+                problem = f"{found}; nothing was changed"
+                raise WriteError(problem, place=self.folder, fix=Fix("choose another folder"))
         with translated(self.folder):
             for name in _TABLES:
                 (self.folder / name).mkdir(parents=True, exist_ok=True)
@@ -116,7 +118,7 @@ class FleetStore:
         except (OSError, ValueError, KeyError, AttributeError):
             found, seal = {}, None
         if seal != _digest(json.dumps(found).encode()).hex():
-            raise StoreError(f"{path}: {_NOT_WHOLE}; start the fleet again with --fresh")
+            raise StoreError(_NOT_WHOLE, place=path, fix=Fix("start the fleet again with --fresh"))
         return dict(found)
 
     def keep_settings(self, settings: Row) -> None:
@@ -132,9 +134,10 @@ class FleetStore:
                 return pl.read_parquet(path, glob=False)
         except OSError as error:
             found = "no such file" if isinstance(error, FileNotFoundError) else error.strerror or error
-            msg = f"{path}: {found}; expected the folder of a fleet, written by imucal fleet run"
-            raise ReadError(msg) from error
-        raise StoreError(f"{path}: {_NOT_WHOLE}; remove it and give the logs again: finished logs are kept")
+            problem = f"{found}; expected the folder of a fleet, written by imucal fleet run"
+            raise ReadError(problem, place=path) from error
+        fix = Fix("remove it and give the logs again: finished logs are kept")
+        raise StoreError(_NOT_WHOLE, place=path, fix=fix)
 
     def add_to_manifest(self, rows: pl.DataFrame) -> pl.DataFrame:
         """Add logs to the manifest, or change their labels; return it."""
@@ -218,7 +221,7 @@ class FleetStore:
     def refuse_damage(self) -> None:
         """Raise `StoreError` if a part is damaged."""
         for part in self.damaged():
-            raise StoreError(f"{part}: {_NOT_WHOLE}; run the fleet again to repeat its logs")
+            raise StoreError(_NOT_WHOLE, place=part, fix=Fix("run the fleet again to repeat its logs"))
 
     def mend(self) -> list[Path]:
         """Remove damaged batches, so that their logs are repeated; return the damaged parts."""
@@ -258,7 +261,8 @@ class FleetStore:
             found = rows.collect(engine="streaming")
         except (OSError, pl.exceptions.PolarsError) as error:
             why = (str(error) or type(error).__name__).splitlines()[0]
-            raise StoreError(f"{self.folder / table}: can't be read ({why}); run the fleet again") from error
+            problem = f"can't be read ({why})"
+            raise StoreError(problem, place=self.folder / table, fix=Fix("run the fleet again")) from error
         return found.with_columns(pl.col("part").str.split("/").list.last())
 
 
@@ -301,5 +305,5 @@ def translated(folder: Path) -> Iterator[None]:
         yield
     except OSError as error:
         why = error.strerror or error
-        msg = f"{folder}: can't be written: {why}; free some space or choose another folder"
-        raise WriteError(msg) from error
+        fix = Fix("free some space or choose another folder")
+        raise WriteError(f"can't be written: {why}", place=folder, fix=fix) from error

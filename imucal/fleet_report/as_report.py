@@ -7,7 +7,7 @@ import numpy as np
 
 from imucal.arguments import takes
 from imucal.checking.verdict import Row, Verdict
-from imucal.errors import DataError
+from imucal.errors import DataError, Fix
 from imucal.fitting.noise_fit import Estimate, Interval, NoiseFit
 from imucal.fleet.pooling import log_values
 from imucal.fleet.population import MIN_UNITS, membership
@@ -56,8 +56,8 @@ def fleet_as_report(fleet: Fleet, model: str | None = None, *, value: FleetValue
         raise ValueError(f"value {value!r} is not one of {', '.join(get_args(FleetValue))}")
     found = fleet.model(model)
     if not found.terms:
-        msg = f"{fleet.folder}: {found.title} has no numbers, expected logs that count; run the fleet again"
-        raise DataError(msg)
+        problem = f"{found.title} has no numbers, expected logs that count"
+        raise DataError(problem, place=fleet.folder, fix=Fix("run the fleet again"))
     axes: dict[str, list[FleetTerm]] = {}
     for term in found.terms:
         axes.setdefault(term.name, []).append(term)
@@ -81,7 +81,7 @@ def _axis(
         lacking = (
             f"{terms[0].name} of {model.title} has no {', '.join(missing)}, expected {', '.join(ALWAYS)}"
         )
-        raise DataError(f"{fleet.folder}: {lacking}; run the fleet with --model 'N + B + K'")
+        raise DataError(lacking, place=fleet.folder, fix=Fix("run the fleet with --model 'N + B + K'"))
     seconds = sorted(log.seconds for log in model.logs if log.seconds and not log.left_out)
     return given_axis(
         *(terms[0].sensor, terms[0].axis, tuple(estimates.values())),
@@ -97,7 +97,7 @@ def _estimate(fleet: Fleet, term: FleetTerm, value: FleetValue, what: str) -> Es
         return Estimate.bounded(term.term, term.symbol, found.median.high)
     if value == "tolerance" and (found.tolerance is None or found.quantile is None):
         few = f"found {len(found.units)} units, expected at least 3 for a tolerance bound"
-        raise DataError(f"{fleet.folder}: {few}; use the median, or test about 10 units")
+        raise DataError(few, place=fleet.folder, fix=Fix("use the median, or test about 10 units"))
     limits = found.median
     if found.tolerance and found.quantile and value == "tolerance":
         bound, low = found.tolerance, min(found.quantile, found.tolerance)
@@ -144,7 +144,8 @@ def check_fleet(
     found = fleet.model(model)
     if len(found.units) < MIN_UNITS:
         few = f"found {len(found.units)} units of {found.title}, expected at least {MIN_UNITS}"
-        raise DataError(f"{fleet.folder}: {few} to predict the next unit; add units to the fleet")
+        problem = f"{few} to predict the next unit"
+        raise DataError(problem, place=fleet.folder, fix=Fix("add units to the fleet"))
     common: list[tuple[FleetTerm, LogValue]] = []
     for axis in report.axes:
         terms = [term for term in found.terms if term.name == axis.name]
@@ -153,7 +154,7 @@ def check_fleet(
     if not common:
         axes = ", ".join(dict.fromkeys(term.name for term in found.terms))
         what = f"no axis and term in common with {found.title} of {fleet.folder}, which has {axes}"
-        raise DataError(f"{report.source.path}: {what}; check a log of the same sensor")
+        raise DataError(what, place=report.source.path, fix=Fix("check a log of the same sensor"))
     tested = [(term, value) for term, value in common if term.population.prediction]
     chances = iter(holm([membership(term.population, value) for term, value in tested]))
     return tuple(
@@ -198,7 +199,7 @@ def _row(model: SensorModel, term: FleetTerm, value: LogValue, *, p: float | Non
         where=term.name,
         subject=subject,
         verdict=verdict,
-        text=f"{term.name}: {term.term} is {measured.text()} {unit.name}; {text}",
+        found=f"{term.term} is {measured.text()} {unit.name}; {text}",
         unit=unit.name,
         measured=measured,
     )

@@ -1,7 +1,6 @@
 """The store of a fleet -> Fleet: the statistics of each sensor model, which all reports use."""
 
 import math
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path, PurePosixPath
@@ -32,8 +31,9 @@ class FleetLog:
     """One log of a fleet; without labels `model` is empty and `unit` None.
 
     `status` is ``ok`` or the kind of failure; `verdict` is good, check, not-noise or empty; `findings` are
-    codes. `report` is the folder of its own report, relative to the fleet's folder, or empty. `left_out` is
-    the reason why its numbers do not count, or empty.
+    codes. `report` is the folder of its own report, relative to the fleet's folder, or empty. `reason` and
+    `code` are the sentence and the code of an error. `left_out` is the reason why its numbers do not count,
+    or empty.
     """
 
     path: str
@@ -43,6 +43,7 @@ class FleetLog:
     started: str | None
     status: str
     reason: str
+    code: str
     verdict: str
     findings: tuple[str, ...]
     seconds: float | None
@@ -141,11 +142,14 @@ class Fleet(Displayed):
 
     @property
     def failures(self) -> dict[tuple[str, str], tuple[FleetLog, ...]]:
-        """Logs that do not count, by status and reason; the most frequent first."""
+        """Logs that do not count, by status and reason; the most frequent first.
+
+        Errors with the same code share the reason of the first one.
+        """
         groups: dict[tuple[str, str], list[FleetLog]] = {}
         for log in filter(lambda log: log.left_out, self.logs):
             kind = log.status if log.status != "ok" else log.verdict
-            groups.setdefault((kind, re.sub(r"\d+", "#", log.left_out)), []).append(log)
+            groups.setdefault((kind, log.code or log.left_out), []).append(log)
         ordered = sorted(groups.items(), key=lambda group: (-len(group[1]), group[0]))
         return {(kind, logs[0].left_out): tuple(logs) for (kind, _), logs in ordered}
 
@@ -223,8 +227,8 @@ def _loaded(
     table, ask = store.logs(), ask or answers.here
     logs = {row["key"]: _log(row) for row in table.iter_rows(named=True)}
     if not logs:
-        msg = f"{store.folder}: found {asked} logs, none finished; run the fleet first"
-        raise DataError(msg)
+        problem = f"found {asked} logs, none finished"
+        raise DataError(problem, place=store.folder, fix=Fix("run the fleet first"))
     units = {key: (log.model, log.unit or "") for key, log in logs.items() if log.counts}
     names = choose(sorted({model for model, _ in units.values()}))
     results = store.results(table)
@@ -293,13 +297,13 @@ def _judged_together(
 
 def _log(row: Mapping[str, Any]) -> FleetLog:
     status, verdict = row["status"], row["verdict"] or ""
-    # Group reasons without the path at their start.
-    left_out = (row["reason"] or status).removeprefix(f"{row['path']}: ") if status != "ok" else ""
+    left_out = "" if status == "ok" else row["reason"] or status
     findings = tuple(row["findings"] or ())
     if not left_out and verdict in ("not-noise", "empty"):
         left_out = f"not noise at rest: {', '.join(findings) or verdict}"
     values = {name: row[name] for name in ("unit", "temperature_c", "started", "seconds", "rate_hz")}
-    values |= {name: row[name] or "" for name in ("path", "model", "status", "reason", "verdict", "report")}
+    texts = ("path", "model", "status", "reason", "code", "verdict", "report")
+    values |= {name: row[name] or "" for name in texts}
     return FleetLog(**values, findings=findings, left_out=left_out)
 
 

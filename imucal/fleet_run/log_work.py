@@ -25,8 +25,8 @@ from imucal.resources import MEMORY, POOLS, THREADS
 
 #: Another log may be the cause of a process's end.
 _ATTEMPTS = 2
-#: Printed by Rust and C++ if an allocation fails.
-_NO_MEMORY = ("memory allocation of", "bad_alloc", "out of memory", "Cannot allocate memory")
+#: Exit code of a child in which an allocation of Rust or C++ failed.
+_ABORTED = -signal.SIGABRT
 #: Reading a log may use the memory of the child divided by this.
 _SHARE = 4
 #: Clocks that start with the sensor begin in 1970, so earlier stamps are no dates.
@@ -52,7 +52,7 @@ def commit(rows: Sequence[LogRow], settings: FleetSettings) -> int:
 
 
 def first_row(task: LogTask, settings: FleetSettings, *, status: str = "", reason: str = "") -> LogRow:
-    """Return the row of a log before it is read, with a key from its path."""
+    """Return the row of a log before it is read, with a key from its path; the `reason` has no path."""
     return {
         "key": settings.key(f"path:{task.path}", task.reading),
         "content": "",
@@ -60,6 +60,7 @@ def first_row(task: LogTask, settings: FleetSettings, *, status: str = "", reaso
         **{name: task.labels.get(name) for name in LABELS},
         "status": status,
         "reason": reason,
+        "code": "",
         "findings": [],
         "bytes": task.size,
         "finished": time.time(),
@@ -94,29 +95,34 @@ def _work_in_child(task: LogTask, settings: FleetSettings, child: ChildProcess) 
             start = f"its process can't be started ({error.strerror or error}), as on an overloaded machine"
             why = f"{start}; run again when it is less loaded"
             break
+        if isinstance(answer.value, WriteError):
+            raise answer.value
         if answer.outcome == "done":
             return cast("LogRow", answer.value)
         if answer.outcome == "late":
             status = "timeout"
             why = f"it took more than {seconds:.4g} s; give it more time, or a part of the log"
             break
-        raised = answer.outcome == "failed"
-        if answer.words.startswith("MemoryError") if raised else any(map(answer.words.count, _NO_MEMORY)):
+        if answer.outcome == "no-memory" or answer.code == _ABORTED:
             status, why = "memory", _memory_reason(settings)
             break
-        if raised:
-            if answer.words.startswith(f"{WriteError.__name__}: "):
-                raise WriteError(answer.words.partition(": ")[2])
+        if answer.outcome == "failed":
             why = f"internal error ({answer.words}); please report it"
         else:
             how = signal.Signals(-answer.code).name if answer.code < 0 else f"exit code {answer.code}"
             why = f"its process ended {_ATTEMPTS} times ({how}), as when the machine has no memory left"
-    return first_row(task, settings, status=status, reason=f"{task.path}: {why}")
+    row = first_row(task, settings, status=status, reason=why)
+    # Limits may differ between logs, but their excess is one kind of failure.
+    return row | {"code": status if status in {"memory", "timeout"} else ""}
 
 
-def work_on(task: LogTask, settings: FleetSettings) -> LogRow:
-    """Read and characterise a log in the child process; its row contains any error."""
+def work_on(task: LogTask, settings: FleetSettings) -> LogRow | WriteError:
+    """Read and characterise a log in the child process; its row contains any error of the log.
+
+    Returns a WriteError if the report can't be written, which is not an error of the log.
+    """
     log = first_row(task, settings)
+    code = ""
     wall, cpu = time.perf_counter(), time.process_time()
     try:
         place = identify(task.place, keep=False) if is_url(task.place) else task.place
@@ -130,19 +136,19 @@ def work_on(task: LogTask, settings: FleetSettings) -> LogRow:
         ended = "ok", ""
     except MemoryError:
         ended = "memory", _memory_reason(settings)
+    except WriteError as error:
+        return error
     except DataError as error:
-        ended = "no-data", str(error)
-    except WriteError:
-        # The report can't be written, which is not an error of the log.
-        raise
-    except (ImucalError, ValueError) as error:
+        ended, code = ("no-data", str(error.below(task.path))), error.code
+    except ImucalError as error:
+        ended, code = ("unreadable", str(error.below(task.path))), error.code
+    except ValueError as error:
         ended = "unreadable", str(error)
     except OSError as error:
-        ended = "unreadable", f"{task.path}: {error.strerror or error}"
+        ended = "unreadable", error.strerror or str(error)
     except Exception as error:  # noqa: BLE001 - one log's fault must not cost the others their results
-        what = f"{type(error).__name__}: {error}"
-        ended = "crash", f"{task.path}: internal error ({what}); please report it"
-    log |= {"status": ended[0], "reason": ended[1], "finished": time.time()}
+        ended = "crash", f"internal error ({type(error).__name__}: {error}); please report it"
+    log |= {"status": ended[0], "reason": ended[1], "code": code, "finished": time.time()}
     log |= {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
     return log
 

@@ -62,7 +62,7 @@ def _logs_of(name: str) -> list[str]:
     else:
         found, logs = "no such file or folder; expected logs, or folders with logs", []
     if not logs:
-        raise ReadError(f"{name}: {found}")
+        raise ReadError(found, place=name)
     return logs
 
 

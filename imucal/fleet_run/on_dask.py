@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 from urllib.parse import urlsplit
 
 from imucal._version import __version__
-from imucal.errors import EngineError
+from imucal.errors import EngineError, Fix
 from imucal.frozen import frozen
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class DaskWorkers(Generic[T, R]):
                 self._heard = time.monotonic()
             elif time.monotonic() - self._heard > SILENCE_S or self._client.status == "closed":
                 reason = "scheduler or workers are gone; finished logs are kept; start them, and run again"
-                raise EngineError(f"{self._where}: {reason}")
+                raise EngineError(reason, place=self._where)
         return WINDOW * max(self._threads, 1) - len(self.hands)
 
     def outcomes(self, take: Callable[[], T | None]) -> Iterator[tuple[T, R | Lost]]:
@@ -143,8 +143,8 @@ def dask_workers(address: str, work: Callable[[T], R]) -> Iterator[DaskWorkers[T
         try:
             client = Client(address, timeout=CONNECT_S)
         except (OSError, TimeoutError, ValueError, TypeError) as error:
-            msg = f"{address}: can't be reached ({error}); expected the address of a Dask scheduler"
-            raise EngineError(msg) from error
+            problem = f"can't be reached ({error}); expected the address of a Dask scheduler"
+            raise EngineError(problem, place=address) from error
         workers = DaskWorkers(client, address, work)
         try:
             check_workers(client, address)
@@ -163,7 +163,7 @@ def check_workers(client: "Client", address: str) -> None:
         found = client.run(_version, on_error="return")
     except (OSError, TimeoutError) as error:
         within = f"no worker within {WORKERS_S:.0f} s ({error})"
-        raise EngineError(f"{address}: {within}; start some: dask worker {address}") from error
+        raise EngineError(within, place=address, fix=Fix(f"start some: dask worker {address}")) from error
     for worker, version in found.items():
         if version != __version__:
             what = f"imucal {version}" if isinstance(version, str) else f"no imucal ({version})"

@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias
 import polars as pl
 
 from imucal._version import __version__
-from imucal.errors import ArgumentError, ManifestError, ReadError
+from imucal.errors import ArgumentError, Fix, ManifestError, ReadError
 from imucal.fleet.store import LABELS, MANIFEST, FleetStore
 from imucal.fleet_run.logs import Stamp, content_at, edge_at, find_logs, label_pattern, stamps_of
 from imucal.frozen import frozen
@@ -154,8 +154,8 @@ def read_manifest(file: Path) -> list[LogTask]:
         with file.open(encoding="utf-8-sig", newline="") as stream:
             heading, *rows = [[cell.strip() for cell in row] for row in csv.reader(stream)] or [[]]
     except (OSError, UnicodeError, csv.Error) as error:
-        msg = f"{file}: can't be read ({getattr(error, 'strerror', None) or error}); expected a CSV table"
-        raise ManifestError(msg) from error
+        problem = f"can't be read ({getattr(error, 'strerror', None) or error}); expected a CSV table"
+        raise ManifestError(problem, place=file) from error
     logs: dict[str, LogTask] = {}
     line = 1
     try:
@@ -276,9 +276,9 @@ def fleet_settings(folder: str | Path, asked: Mapping[str, Any]) -> FleetSetting
     kept = {} if given.get("fresh") else store.settings()
     for name in kept.keys() & {"model", "level"}:
         if given.setdefault(name, kept[name]) != kept[name]:
-            found = f"contains fits with {name} {kept[name]}, found {given[name]}"
-            msg = f"{store.folder}: {found}; choose another folder, or repeat all logs with --fresh"
-            raise ArgumentError(msg)
+            problem = f"contains fits with {name} {kept[name]}, found {given[name]}"
+            fix = Fix("choose another folder, or repeat all logs with --fresh")
+            raise ArgumentError(problem, place=store.folder, fix=fix)
     given["jobs"] = 1 if "shard" in given else given.get("jobs") or threads()
     memory = int((memory_there_is() or _UNKNOWN) * _SHARE) // given["jobs"]
     return FleetSettings(**{"store": str(store.folder), "folder": str(Path.cwd()), "memory": memory, **given})
@@ -323,8 +323,8 @@ def planned(
         unlike += not own
         first = asked.setdefault(log.path, replace(log, labels={**log.labels, **own}))
         if first.place != log.place != log.path:
-            msg = f"{log.path}: two URLs that differ only after the question mark; expected one"
-            raise ManifestError(msg)
+            problem = "two URLs that differ only after the question mark; expected one"
+            raise ManifestError(problem, place=log.path)
     if settings.labels and unlike:
         notify(f"{unlike} of {len(asked)} logs do not match {settings.labels}")
     return plan_fleet(asked.values(), settings)

@@ -183,8 +183,8 @@ def run_plan(
                 lost |= set() if others else {task.path}
                 alone.extend([one] for one in batch)
                 continue
-            reason = f"{task.path}: {failed.reason}"
-            failed = commit([first_row(task, settings, status="crash", reason=reason)], settings)  # noqa: PLW2901
+            row = first_row(task, settings, status="crash", reason=failed.reason)
+            failed = commit([row], settings)  # noqa: PLW2901
         count.done += len(batch)
         count.done_size += sum(task.size for task in batch)
         count.failed += failed

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import field
 from functools import partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
@@ -32,14 +32,25 @@ from imucal.prediction.propagation import (
 from imucal.recording import Sensor
 from imucal.units import G0
 
-#: Default durations of dead reckoning and of the rest before it, in s.
-TIMES_S, REST_S = (1.0, 10.0, 60.0, 300.0), 60.0
+#: Default durations of dead reckoning, in s.
+TIMES_S = (1.0, 10.0, 60.0, 300.0)
+#: Default duration of the rest before it, in s.
+REST_S = 60.0
+#: Cause of an error -> its spelling behind the kind.
+_THROUGH = {
+    "": "",
+    "accelerometer": " from the accelerometer",
+    "tilt": " through tilt",
+    "both": ", both",
+}
 #: Least length of a record that shows a drift, in lengths of rest plus coast.
 STRETCHES = 5
 #: Largest ratio of rest and coast: the shorter one then has a dozen blocks.
 _MAX_RATIO = 2e4
-#: Relative tolerance of g at rest; cosine of the largest tilt of a vertical axis.
-_NEAR_G, _UPRIGHT = 0.1, 0.94
+#: Relative tolerance of g at rest.
+_NEAR_G = 0.1
+#: Cosine of the largest tilt of a vertical axis.
+_UPRIGHT = 0.94
 
 
 @frozen
@@ -64,11 +75,21 @@ class DriftPoint:
 
 @frozen
 class DriftOf:
-    """The drift of one quantity: ``heading``, ``tilt``, ``angle``, ``velocity through tilt``, …, in SI."""
+    """The drift of one quantity, in SI.
 
-    name: str
+    `kind` is ``heading``, ``tilt``, ``angle``, ``velocity`` or ``position``. `through` is the cause of an
+    error of velocity or position: ``accelerometer``, ``tilt`` or ``both``; empty for angles.
+    """
+
+    kind: str
+    through: Literal["", "accelerometer", "tilt", "both"]
     unit: str
     points: tuple[DriftPoint, ...]
+
+    @property
+    def name(self) -> str:
+        """Kind and cause, such as ``velocity through tilt``."""
+        return self.kind + _THROUGH[self.through]
 
 
 @frozen
@@ -155,26 +176,31 @@ def _vertical(axes: Sequence[_Axis]) -> str:
     return upright if means[upright] > _UPRIGHT * total else ""
 
 
+#: Kind, cause and unit of an error, the axes that cause it, and the number of integrals of their noise.
+_Row: TypeAlias = tuple[str, Literal["accelerometer", "tilt", ""], str, Sequence[_Axis], int]
+
+
 def _quantities(axes: Sequence[_Axis], vertical: str, coasts: "_Coasts") -> Iterator[DriftOf]:
     accels = [axis for axis in axes if axis.fit.sensor is Sensor.ACCELEROMETER]
     upright = [axis for axis in axes if axis not in accels and axis.axis == (vertical or None)]
     tilting = [axis for axis in axes if axis not in accels + upright]
     together: dict[str, DriftOf] = {}
-    for name, unit, own, integrals in (
-        ("heading", "rad", upright, ANGLE),
-        ("tilt" if vertical else "angle", "rad", tilting, ANGLE),
-        ("velocity from the accelerometer", "m/s", accels, ANGLE),
-        ("velocity through tilt", "m/s", tilting, POSITION),
-        ("position from the accelerometer", "m", accels, POSITION),
-        ("position through tilt", "m", tilting, TILT),
-    ):
+    rows: tuple[_Row, ...] = (
+        ("heading", "", "rad", upright, ANGLE),
+        ("tilt" if vertical else "angle", "", "rad", tilting, ANGLE),
+        ("velocity", "accelerometer", "m/s", accels, ANGLE),
+        ("velocity", "tilt", "m/s", tilting, POSITION),
+        ("position", "accelerometer", "m", accels, POSITION),
+        ("position", "tilt", "m", tilting, TILT),
+    )
+    for kind, through, unit, own, integrals in rows:
         if own:
-            part = DriftOf(name=name, unit=unit, points=coasts.worst(own, integrals))
+            part = DriftOf(kind=kind, through=through, unit=unit, points=coasts.worst(own, integrals))
             yield part
-            if unit != "rad" and unit in together:
-                both = tuple(map(_both, together[unit].points, part.points))
-                yield DriftOf(name=f"{name.split()[0]}, both", unit=unit, points=both)
-            together[unit] = part
+            if kind in together:
+                both = tuple(map(_both, together[kind].points, part.points))
+                yield DriftOf(kind=kind, through="both", unit=unit, points=both)
+            together[kind] = part
 
 
 @frozen

@@ -31,16 +31,24 @@ Join: TypeAlias = Callable[..., FloatArray]
 
 #: One-sided level at which the spectrum of a single axis is covered.
 LEVEL = 0.8
-#: Default horizon and step, in s: how long a filter may coast, and how often it is aided.
-HORIZON_S, STEP_S = 300.0, 1.0
+#: How long a filter may coast by default, in s.
+HORIZON_S = 300.0
+#: How often a filter is aided by default, in s.
+STEP_S = 1.0
 #: Horizon for cameras and lidars, in s; satellites may be lost for longer.
 CAMERA_HORIZON_S = 60.0
 #: Times of the reported ratios, in s.
 PRICED_S = (1.0, 10.0, 60.0, 300.0, 1000.0)
-#: Lowest covered frequency times the horizon, for a walk, which a filter remembers for longer than it coasts,
-#: and for a Gauss-Markov bias.
-_LOWEST, _LOWEST_BOUND_BIAS = 0.01, 0.5
-_FREQUENCIES, _TIMES, _PAIRS = 90, 25, 600
+#: Lowest covered frequency times the horizon, for a walk: a filter remembers it for longer than it coasts.
+_LOWEST = 0.01
+#: The same for a Gauss-Markov bias.
+_LOWEST_BOUND_BIAS = 0.5
+#: Number of covered frequencies, evenly spaced in the logarithm.
+_FREQUENCIES = 90
+#: Number of times, from the step to the horizon, at which Allan variances are compared.
+_TIMES = 25
+#: Number of pairs that are tried.
+_PAIRS = 600
 #: Smallest walk of the search, relative to the walk that covers everything alone, in power.
 _SMALLEST = 1e-12
 #: K² over horizon R² of a walk that covers a ramp, which has no spectrum.

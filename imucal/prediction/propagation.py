@@ -25,14 +25,19 @@ from imucal.noise.terms import TERMS, GaussMarkov
 #: Function of a term that is linear in the squared coefficient.
 Quantity: TypeAlias = Callable[[NoiseTerm], FloatArray]
 
-#: Least number of blocks of coast and rest; largest number of both together.
-_BLOCKS, _MAX_BLOCKS = 120, 1 << 18
+#: Least number of blocks of the coast and of the rest.
+_BLOCKS = 120
+#: Largest number of blocks of both together, which limits memory and time.
+_MAX_BLOCKS = 1 << 18
 #: Largest number of block sizes to try.
 _TRIED = 50
 #: Limits of a correlation time are clipped to this share and its inverse.
 _SHORTEST_TIME = 1 / 30
-#: Number of integrals of the sensor's output.
-ANGLE, POSITION, TILT = 1, 2, 3
+#: Number of integrals of the sensor's output: from rate to angle, from acceleration to position, and from
+#: rate through a tilt to position.
+ANGLE = 1
+POSITION = 2
+TILT = 3
 
 
 class Caution(NamedTuple):

@@ -28,6 +28,8 @@ class RecordingBuilder:
     #: Declared in the log, in Hz.
     rate_hz: float | None = None
     decisions: list[tuple[str, str]] = field(default_factory=list)
+    #: See `imucal.recording.Source`.
+    values: dict[str, str] = field(default_factory=dict)
     #: `build` removes duplicates.
     findings: list[Finding] = field(default_factory=list)
     series: list[AxisSeries] = field(default_factory=list)
@@ -37,7 +39,10 @@ class RecordingBuilder:
     def room(self) -> Room:
         return Room(self.options.memory_limit)
 
-    def decide(self, what: str, how: str) -> None:
+    def decide(self, what: str, how: str, *, value: str = "") -> None:
+        """Add a decision with its reason, and its `value` if programs need it."""
+        if value:
+            self.values[what] = value
         if (what, how) not in self.decisions:
             self.decisions.append((what, how))
 
@@ -59,7 +64,7 @@ class RecordingBuilder:
         units = find_units(where or self.path, self.options, samples, self.findings)
         for entry in samples:
             sensor, unit = entry.sensor, units[entry.sensor]
-            self.decide(f"{sensor} unit", unit.described(sensor))
+            self.decide(f"{sensor} unit", unit.described(sensor), value=unit.value)
             self.add_sensor(entry, unit.factor(sensor, entry.clock.rate_hz))
 
     def add_sensor(self, entry: Unscaled, scale: float) -> None:
@@ -80,6 +85,7 @@ class RecordingBuilder:
             topics=tuple(topics),
             message_types=tuple(message_types),
             decisions=tuple(self.decisions),
+            values=self.values,
         )
         return Recording(
             source=source,

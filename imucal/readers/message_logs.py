@@ -159,7 +159,8 @@ def read_log(log: OpenLog, options: ReadOptions) -> Recording:
     work = RecordingBuilder(path=str(path), format=log.form, options=options, rate_hz=log.rate_hz)
     work.findings += log.findings
     work.decisions += [("topic", f"{one.topic.name}: {one.how}") for one in choices if not one.topic.file]
-    work.decisions += first_frames(containers, [choice.topic for choice in choices])
+    for frame in first_frames(containers, [choice.topic for choice in choices]):
+        work.decide("frame", frame, value=frame)
     sensors = _sensors(work, jobs, decodings)
     where = f"{path}: {jobs[0].topic.where}" if len(jobs) == 1 and not jobs[0].topic.file else ""
     with _naming(path):

@@ -19,8 +19,10 @@ from imucal.resources import column_limit
 
 #: Longest pause between two parts, in s.
 _MAX_PAUSE_S = 10.0
-#: Largest overlap of two parts: in samples, or in s.
-_SAMPLES_OVER, _TIME_OVER = 10, 0.1
+#: Largest overlap of two parts, in samples.
+_SAMPLES_OVER = 10
+#: Largest overlap of two parts, in s, if it is more.
+_TIME_OVER = 0.1
 #: File extensions, and the number that log rotation appends.
 _ENDINGS = re.compile(
     r"(?:\.(?:csv|tsv|txt|log|dat|mcap|db3|bag|active|ulg|parquet|npz|npy|mat|gz|bz2|xz|lz4|zst|zstd))+"
@@ -60,8 +62,7 @@ def _differences(parts: Sequence[Recording]) -> str:
         what = "topics" if parts[0].source.message_types else "columns"
         return f"their {what} differ ({' and '.join(dict.fromkeys(topics))})"
     for question in _COMMON:
-        whole = (dict(part.source.decisions).get(question, "none") for part in parts)
-        answers = dict.fromkeys(one if one.startswith("count") else one.partition(",")[0] for one in whole)
+        answers = dict.fromkeys(part.source.values.get(question, "none") for part in parts)
         if len(answers) > 1:
             return f"their {question}s differ ({' and '.join(answers)})"
     return ""
@@ -142,7 +143,7 @@ def _refusal(paths: Sequence[Path], parts: Sequence[Recording], problem: str) ->
 
 def _row(path: Path, part: Recording) -> tuple[str, str, str, str]:
     span, series = span_ns(part.series), part.series[0]
-    frame = dict(part.source.decisions).get("frame")
+    frame = part.source.values.get("frame")
     topics = ", ".join(part.source.topics) if part.source.message_types else part.source.format
     amount = f"{series.duration_s:.4g} s at {series.rate_hz:.4g} Hz"
     what = f"{topics}, frame {frame}" if frame else topics

@@ -37,8 +37,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-#: Fewer show single spikes, more hide the lowest slope.
-_MIN_FIRST_ORDINATES, _MIN_ORDINATES = 6.0, 12.0
+#: Ordinates of the lowest point of a smoothed spectrum: more hide the lowest slope.
+_MIN_FIRST_ORDINATES = 6.0
+#: Ordinates of every other point: fewer show single spikes.
+_MIN_ORDINATES = 12.0
 
 
 @frozen_alone

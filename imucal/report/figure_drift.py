@@ -1,7 +1,6 @@
 """The picture of a drift: angles, velocities and positions over time, with limits and contributions."""
 
 import math
-import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -33,10 +32,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Inches.
-_HEIGHT, _HEAD, _FOOT, _SPACE = 4.3, 0.75, 0.75, 0.62
-#: Points of a line, and space for the first label as a fraction of the axis.
-_POINTS, _ROOM = 25, 0.36
+#: Inches: height of a picture, of its head and of its foot, and space for the labels left of a curve.
+_HEIGHT = 4.3
+_HEAD = 0.75
+_FOOT = 0.75
+_SPACE = 0.62
+#: Points of a line.
+_POINTS = 25
+#: Space for the first label, as a fraction of the axis.
+_ROOM = 0.36
 _PARTS = {"accelerometer": AXES["x"], "tilt": AXES["z"]}
 
 
@@ -66,31 +70,28 @@ def _draw(axes: "Axes", quantities: Sequence[DriftOf], asked: set[float]) -> Non
     """Draw quantities of one unit over time; their total, or the first angle, has limits."""
     radians = quantities[0].unit == "rad"
     main, factor = (quantities[0], math.degrees(1)) if radians else (quantities[-1], 1.0)
-    values = {
-        quantity.name: factor * np.array([point.value or point.high for point in quantity.points])
-        for quantity in quantities
-    }
+    values = [
+        factor * np.array([point.value or point.high for point in quantity.points]) for quantity in quantities
+    ]
     time, low, high = (
         np.array([getattr(p, name) for p in main.points]) for name in ("time_s", "low", "high")
     )
-    bottom, top = limits(np.concatenate([*values.values(), factor * high]), below=12.0, above=12.0)
-    kind = "angle" if radians else re.sub("[, ].*", "", main.name)
+    bottom, top = limits(np.concatenate([*values, factor * high]), below=12.0, above=12.0)
     style_axes(
         axes,
         x="time without aiding (s)",
-        y=f"{kind} ({'deg' if radians else main.unit})",
+        y=f"{'angle' if radians else main.kind} ({'deg' if radians else main.unit})",
         x_limits=(time[0] / max(3.0, (time[-1] / time[0]) ** _ROOM), time[-1] * 1.3),
         y_limits=(bottom, top),
     )
-    for name, value in values.items():
-        parts = (stroke for end, stroke in _PARTS.items() if name.endswith(end))
-        stroke = MODEL if name == main.name else next(parts)
-        label = re.sub(f"^{kind},? (from the |through )?", "", name)
+    for quantity, value in zip(quantities, values, strict=True):
+        label = quantity.through or quantity.kind
+        stroke = MODEL if quantity is main else _PARTS[label]
         axes.plot(time, value, label=label, zorder=4, **stroked(stroke, linewidth=1.6))
     band: Style = {"color": MODEL.light, "alpha": 0.18, "linewidth": 0}
     axes.fill_between(time, np.maximum(factor * low, bottom), factor * high, where=np.isfinite(high), **band)
     axes.legend(loc="upper left", **LEGEND_STYLE)
-    _mark(axes, main, values[main.name].tolist(), asked)
+    _mark(axes, main, values[quantities.index(main)].tolist(), asked)
 
 
 def _mark(axes: "Axes", main: DriftOf, heights: list[float], asked: set[float]) -> None:

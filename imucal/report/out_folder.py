@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from imucal.atomic import sweep, sync_folder
-from imucal.errors import WriteError
+from imucal.errors import Fix, WriteError
 from imucal.locks import locked
 
 __all__ = ["FilesOfFolder", "OutFolder", "has_schema", "held_by", "home_of"]
@@ -54,14 +54,12 @@ class OutFolder:
             # Look for files first: a folder of another run appears in one step.
             held = held_by(self.path)
             if held and not (self.shared or has_schema(self.path / self.document, self.schema)):
-                msg = (
-                    f"{self.path}: contains {held} but no {self.what}; nothing was changed; choose another "
-                    "folder"
-                )
-                raise WriteError(msg)
+                problem = f"contains {held} but no {self.what}; nothing was changed"
+                raise WriteError(problem, place=self.path, fix=Fix("choose another folder"))
             for name in names:
                 if (file := self.path / name).is_dir():
-                    raise WriteError(f"{file}: is a folder, expected a file of {self._results}; move it away")
+                    problem = f"is a folder, expected a file of {self._results}"
+                    raise WriteError(problem, place=file, fix=Fix("move it away"))
 
     def check(self) -> None:
         self.refuse_foreign()
@@ -110,7 +108,8 @@ class OutFolder:
                 **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), "choose a folder you may write to"),
             }.get(error.errno or 0, "choose another folder")
             problem = f"{self._results} can't be written: {reason}"
-            raise WriteError(f"{self.path}: {problem}; nothing was changed; {advice}") from error
+            problem = f"{problem}; nothing was changed"
+            raise WriteError(problem, place=self.path, fix=Fix(advice)) from error
 
     def _new_scratch(self) -> Path:
         home = self.path if self.path.is_dir() else self.path.parent
@@ -143,8 +142,8 @@ class OutFolder:
                         path.unlink()
         except OSError as error:
             problem = f"only {moved} of {len(names)} files were replaced: {error.strerror or error}"
-            msg = f"{self.path}: {problem}; {self._results} is incomplete; write it again"
-            raise WriteError(msg) from error
+            problem = f"{problem}; {self._results} is incomplete"
+            raise WriteError(problem, place=self.path, fix=Fix("write it again")) from error
         sync_folder(self.path)
 
     def _mark_incomplete(self, scratch: Path) -> None:

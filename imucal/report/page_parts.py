@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from itertools import count
 from typing import TypeAlias
@@ -63,19 +64,20 @@ def findings_section(report: Report) -> Markup:
     return listed_findings(_all_findings(report))
 
 
-def listed_findings(found: Iterable[tuple[str, Finding]]) -> Markup:
-    """Return axes and findings as a list: errors first, one entry per advice."""
+def listed_findings(findings: Iterable[Finding]) -> Markup:
+    """Return findings as a list: errors first, one entry per advice, axes with the same text together."""
     grouped: dict[_Kind, dict[str, list[str]]] = {}
-    for axis, finding in found:
+    for finding in findings:
         kind = (finding.level, finding.code, finding.advice, finding.keep_s)
-        grouped.setdefault(kind, {}).setdefault(finding.text, []).append(axis)
+        axes = grouped.setdefault(kind, {}).setdefault(finding.text, [])
+        axes += [finding.axis] if finding.axis else []
     groups = []
     for level, heading in _HEADINGS.items():
         items = [
             {
                 "code": code,
-                "sentences": [(_names(axes, text), _sentence(text)) for text, axes in texts.items()],
-                "advice": _sentence(advice) if advice else "",
+                "sentences": [(" ".join(dict.fromkeys(axes)), pretty(text)) for text, axes in texts.items()],
+                "advice": pretty(advice),
                 "keep": options_to_keep(keep) if keep else "",
             }
             for (of_level, code, advice, keep), texts in grouped.items()
@@ -86,23 +88,11 @@ def listed_findings(found: Iterable[tuple[str, Finding]]) -> Markup:
     return render("findings.html", groups=groups)
 
 
-def _all_findings(report: Report) -> Iterator[tuple[str, Finding]]:
-    for finding in report.findings:
-        yield finding.axis or "", finding
+def _all_findings(report: Report) -> Iterator[Finding]:
+    yield from report.findings
     for axis in report.axes:
         for finding in dict.fromkeys((*axis.findings, *axis.fit.findings)):
-            yield finding.axis or axis.name, finding
-
-
-def _names(axes: list[str], text: str) -> str:
-    names = " ".join(dict.fromkeys(axis for axis in axes if axis))
-    return "" if text.startswith(names) else names
-
-
-def _sentence(text: str) -> str:
-    first = text.split(" ", 1)[0]
-    text = pretty(text if "_" in first else text[:1].upper() + text[1:])
-    return text if text.endswith((".", "!", "?")) else f"{text}."
+            yield replace(finding, axis=finding.axis or axis.name)
 
 
 def glossary_section() -> Markup:
@@ -148,10 +138,17 @@ def _curve_rows(axis: AxisReport) -> Iterator[_Row]:
         yield f"{curve.tau[i]:.6g}", cells
 
 
-#: User units of the SVG.
-_WIDTH, _ROW, _LEFT, _RIGHT, _TOP, _BOTTOM = 640, 86, 56, 12, 24, 22
-#: Of the half-height of a row, as a logarithm and as a ratio.
-_MIN_HEIGHT, _MAX_HEIGHT = 0.02, 4.0
+#: Sizes of the SVG in its own units: its width, the height of a row, and the margins.
+_WIDTH = 640
+_ROW = 86
+_LEFT = 56
+_RIGHT = 12
+_TOP = 24
+_BOTTOM = 22
+#: Least half-height of a row, as a logarithm: smaller changes look like none.
+_MIN_HEIGHT = 0.02
+#: Largest half-height of a row, as a ratio.
+_MAX_HEIGHT = 4.0
 _MARKS = 6
 
 
@@ -236,7 +233,7 @@ def drift_section(report: Report) -> Markup | None:
         return None
     found = drift(report)
     # The last quantity of a kind is the total.
-    last = {quantity.name.split(" ")[0].rstrip(","): quantity for quantity in found.quantities}
+    last = {quantity.kind: quantity for quantity in found.quantities}
     titles = ["Error", *(f"after {duration(point.time_s)}" for point in found.quantities[0].points)]
     return render("drift.html", drift=found, quantities=last.values(), titles=titles, numbers=numbers)
 

@@ -34,8 +34,9 @@ if TYPE_CHECKING:
 
 __all__ = ["plot"]
 
-#: Inches.
-_WIDTH, _HEIGHT = 6.4, 4.2
+#: Size of the drawing of one sensor, in inches.
+_WIDTH = 6.4
+_HEIGHT = 4.2
 _STRETCHES = 800
 
 

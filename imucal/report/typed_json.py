@@ -1,7 +1,7 @@
 """JSON of dataclasses, written and read by their type hints: attributes are keys.
 
 Numbers that are not finite are null. A hint ``Annotated[type, Key(…)]`` adds what a value needs besides its
-type.
+type. Attributes that comparisons ignore are not written.
 """
 
 import json
@@ -116,7 +116,7 @@ def to_json(value: object) -> Any:  # noqa: ANN401 - JSON
     if isinstance(value, np.ndarray | np.generic):
         return to_json(value.tolist())
     if is_dataclass(value) and not isinstance(value, type):
-        value = {field.name: getattr(value, field.name) for field in fields(value)}
+        value = {field.name: getattr(value, field.name) for field in fields_of(type(value))}
     if isinstance(value, Mapping):
         return {str(key): to_json(item) for key, item in value.items()}
     if isinstance(value, Sequence):
@@ -151,10 +151,16 @@ def without_none(hint: object) -> Any:  # noqa: ANN401 - a type
 
 
 @cache
+def fields_of(kind: Any) -> tuple[Field[Any], ...]:  # noqa: ANN401 - any dataclass
+    """Return the fields that are keys: those that count when two values are compared."""
+    return tuple(field for field in fields(kind) if field.compare)
+
+
+@cache
 def hints_of(kind: type) -> dict[str, Any]:
     """Return the hint of each field of a dataclass."""
     hints = get_type_hints(kind, include_extras=True)
-    return {field.name: hints[field.name] for field in fields(kind)}
+    return {field.name: hints[field.name] for field in fields_of(kind)}
 
 
 def choices_of(hint: object, key: Key) -> tuple[str, ...]:
@@ -208,7 +214,7 @@ def _list(value: object, place: Place) -> list[object]:
 def _dataclass(kind: Any, value: object, place: Place) -> Any:  # noqa: ANN401 - any dataclass
     table = _table(value, place)
     attributes: dict[str, Any] = {}
-    for field in fields(kind):
+    for field in fields_of(kind):
         if field.name not in table:
             if _has_default(field):
                 continue

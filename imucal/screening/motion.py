@@ -26,17 +26,25 @@ _ENDS = 0.1
 _LOUDER = 1.0
 #: Change of gravity's direction, in degrees, that is a turn and no drift.
 _TURN_DEG = 2.0
-#: Windows averaged for a pose, and the smallest gravity, in U.
-_POSE_WINDOWS, _MIN_GRAVITY = 5, 0.5
+#: Number of windows that are averaged for a pose.
+_POSE_WINDOWS = 5
+#: Smallest gravity, in U, whose direction is known.
+_MIN_GRAVITY = 0.5
 
 #: Band of a hand, a walking person or an engine, in Hz.
 _BAND_HZ = (0.5, 10.0)
 #: Rate in the band, in rad/s rms: ten times that of a poor gyroscope at rest.
 _LOUD = 3e-3
-#: Shortest and longest transformed stretch, in samples.
-_SHORTEST, _LONGEST = 256, 16384
-#: Stretches: minimum, number wanted from a short log, and maximum.
-_MIN_STRETCHES, _USUAL_STRETCHES, _MAX_STRETCHES = 4, 16, 256
+#: Shortest transformed stretch, in samples.
+_SHORTEST = 256
+#: Longest transformed stretch, in samples.
+_LONGEST = 16384
+#: Least number of stretches of a usable log.
+_MIN_STRETCHES = 4
+#: Number of stretches that a short log is divided into.
+_USUAL_STRETCHES = 16
+#: Largest number of stretches; they are spread over a long log.
+_MAX_STRETCHES = 256
 #: Density in the band over that in the upper half of frequencies of coloured noise.
 _COLOURED = 8.0
 

@@ -17,8 +17,10 @@ from imucal.units import G0, duration
 
 #: Probability that noise repeats one value through a window by chance.
 _FALSE_ALARM = 1e-6
-#: Clipping: least number of samples at the extreme value, and in multiples of the next value's.
-_MIN_AT_LIMIT, _LIMIT_RATIO = 8, 5.0
+#: Least number of samples at the extreme value of a clipped axis.
+_MIN_AT_LIMIT = 8
+#: The same in multiples of the number of samples at the next value.
+_LIMIT_RATIO = 5.0
 #: Distance of an extreme from the middle, in steps, up to which it is due to a coarse resolution.
 _MIN_STEPS = 4.0
 #: Fraction of samples that are not finite from which they are a warning.
@@ -41,14 +43,14 @@ def check_no_data(profile: Profile) -> tuple[Finding, ...]:
         return ()
     code = "no-data"
     if not series.n:
-        text = f"{series.name} has no finite sample."
+        text = "No sample is finite."
         advice = "Check the driver or the choice of columns."
     elif first == 0:
-        text = f"{series.name} is 0 in all of its {series.n} samples: the driver does not fill it."
+        text = f"All {series.n} samples are 0: the driver does not fill this axis."
         advice = "Read this sensor from another topic or column."
     else:
         code = "stuck"
-        text = f"{series.name} never changes: all of its {series.n} samples are {first:.6g} {series.unit}."
+        text = f"The axis never changes: all {series.n} samples are {first:.6g} {series.unit}."
         advice = "Check the sensor and its driver; this axis can't be used."
     return (Finding("error", code, text, advice, axis=series.name),)
 
@@ -61,10 +63,7 @@ def check_not_finite(profile: Profile) -> tuple[Finding, ...]:
     share = count / (count + series.n)
     samples, are = ("sample", "is") if count == 1 else ("samples", "are")
     level: Level = "warning" if share > _MANY else "info"
-    text = (
-        f"{count} {samples} of {series.name} ({share:.2g} of all) {are} NaN, infinite or absurdly large and "
-        "left out."
-    )
+    text = f"{count} {samples} ({share:.2g} of all) {are} NaN, infinite or absurdly large and left out."
     return (Finding(level, "not-finite", text, "Check the driver.", axis=series.name),)
 
 
@@ -79,7 +78,7 @@ def check_stuck(profile: Profile) -> tuple[Finding, ...]:
     if by_chance > _FALSE_ALARM:
         return ()
     total, first = frozen.sum() * windows.length_s, windows.time_s[int(frozen.argmax())]
-    text = f"{series.name} is stuck at one value for {duration(total)} in all, first at {first:.1f} s."
+    text = f"The axis is stuck at one value for {duration(total)} in all, first at {first:.1f} s."
     advice = "Check the driver and the cable; leave these parts out."
     edges = np.flatnonzero(np.concatenate([[True], frozen, [True]]))
     longest = int(np.diff(edges).argmax())
@@ -105,8 +104,8 @@ def check_saturated(profile: Profile) -> tuple[Finding, ...]:
         at_limit, next_to_it = _counts(profile, index, limit)
         if at_limit >= _MIN_AT_LIMIT and at_limit > _LIMIT_RATIO * next_to_it:
             text = (
-                f"{series.name} is at its {word} value, {amount(limit, series.sensor)}, {at_limit} times: it "
-                f"is saturated, first at {windows.time_s[index[0]]:.1f} s."
+                f"The axis is at its {word} value, {amount(limit, series.sensor)}, {at_limit} times: it is "
+                f"saturated, first at {windows.time_s[index[0]]:.1f} s."
             )
             advice = "Choose a larger range of the sensor, or leave these parts out."
             return (Finding("warning", "saturated", text, advice, axis=series.name),)
@@ -189,7 +188,7 @@ def check_lsb(profile: Profile) -> tuple[Finding, ...]:
     noise = max(0.0, profile.noise**2 - lsb**2 / 12) ** 0.5
     figure = f"about {noise / lsb:.1f}" if noise > 0.2 * lsb else "less than 0.2"
     text = (
-        f"The steps of {series.name}, {amount(lsb, series.sensor)}, are coarse: its noise is "
+        f"The steps of the axis, {amount(lsb, series.sensor)}, are coarse: its noise is "
         f"{figure} LSB, and rounding distorts N and hides slow changes."
     )
     advice = "Choose a smaller range of the sensor, log more digits, or average less before logging."
@@ -225,8 +224,10 @@ def _correlation(one: Profile, two: Profile) -> float:
 _GRAVITY = (0.8 * G0, 1.2 * G0)
 #: Length, in m/s², below which there is no gravity in any unit.
 _NO_GRAVITY = 0.3
-#: Largest mean vector without gravity, and smallest deviation of a moving accelerometer, in m/s².
-_WEIGHTLESS, _SHAKEN = 0.3 * G0, 0.3
+#: Largest mean vector without gravity, in m/s².
+_WEIGHTLESS = 0.3 * G0
+#: Smallest deviation of a moving accelerometer, in m/s².
+_SHAKEN = 0.3
 #: Largest bias of a gyroscope, in rad/s.
 _BIASED = 0.4
 
@@ -363,8 +364,10 @@ def _gyroscope_reason(gyro: Sequence[Profile]) -> str | None:
     return None
 
 
-#: Lowest and highest rate, in Hz, of averages and of bench instruments.
-_SLOWEST, _FASTEST = 0.5, 150e3
+#: Lowest rate, in Hz, of averaged logs.
+_SLOWEST = 0.5
+#: Highest rate, in Hz, of bench instruments.
+_FASTEST = 150e3
 #: Highest rate of MEMS sensors, in Hz, with a margin for their clocks.
 _FASTEST_MEMS = 40e3
 

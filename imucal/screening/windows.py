@@ -235,8 +235,10 @@ def _spikes(table: FloatArray) -> NDArray[np.bool_]:
     return here & ~longer
 
 
-#: Number and length of the stretches for the LSB.
-_STRETCHES, _STRETCH = 16, 2048
+#: Number of stretches that are searched for the LSB.
+_STRETCHES = 16
+#: Length of such a stretch, in samples.
+_STRETCH = 2048
 #: Largest step for the LSB, in LSB.
 _FEW = 12
 #: Tolerance of a multiple, in LSB: decimal and float32 rounding.

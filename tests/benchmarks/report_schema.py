@@ -9,7 +9,7 @@ import json
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias, get_args, get_origin
 
@@ -91,9 +91,9 @@ def _object(kind: Any, name: str) -> Schema:  # noqa: ANN401 - any dataclass
     if unknown := set(descriptions) - set(hints):
         raise ValueError(f"report_keys.toml describes {', '.join(unknown)}, which {name} does not have")
     properties = {}
-    for field in fields(kind):
-        description = {"description": descriptions[field.name]} if field.name in descriptions else {}
-        properties[field.name] = description | _schema(hints[field.name])
+    for key, hint in hints.items():
+        description = {"description": descriptions[key]} if key in descriptions else {}
+        properties[key] = description | _schema(hint)
     return {"type": "object", "required": list(properties), "properties": properties}
 
 

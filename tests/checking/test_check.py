@@ -173,7 +173,7 @@ def test_a_missing_axis_fails() -> None:
     rows = _check("[gyro_y]\nN = { max = 1 }", report).rows
     assert rows[0].text == "gyro_y: the report has no such axis; found gyro_x"
     rows = _check("[accelerometer]\nN = { max = 1 }", report).rows
-    assert rows[0].text == "accelerometer: the report has no axis of this sensor; found gyro_x"
+    assert rows[0].text == "accel: the report has no axis of this sensor; found gyro_x"
     assert _verdicts(_check('[gyroscope]\naxes = ["x", "z"]', report)) == {"gyro_z axes": "fail"}
     broken = replace(
         report, findings=(Finding(level="error", code="stuck", text="all samples are equal", axis="gyro_y"),)
@@ -373,7 +373,7 @@ def test_each_kind_of_limit_has_its_sentence() -> None:
     result = _check(text, now, replace(report, axes=(before,)))
     long, without = "; record for longer to decide", "fit a model with it, or remove the limit"
     assert [f"{row.verdict}: {row.text}" for row in result.rows] == [
-        "pass: gyroscope: gyro_x are present",
+        "pass: gyro: gyro_x are present",
         "fail: gyro_x: duration is 3.03333 h; below the smallest allowed, 4",
         "pass: gyro_x: N is 0.4125 [0.4109, 0.4141] deg/sqrt(h); not below the smallest allowed, 0.3",
         "fail: gyro_x: N is 0.4125 [0.4109, 0.4141] deg/sqrt(h); above the largest allowed, 0.4",

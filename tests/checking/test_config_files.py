@@ -15,6 +15,7 @@ from imucal.checking.verdict import Row
 from imucal.errors import LimitsError
 from imucal.recording import Axis, Sensor
 from imucal.report.exports import TARGETS, ExportOptions, render
+from imucal.report.exports.config_numbers import read_options
 from imucal.report.given import model_as_report
 from imucal.report.result import Report
 from imucal.units import G0
@@ -325,3 +326,23 @@ def test_degrees_of_both_numbers_are_one_mistake(tmp_path: Path) -> None:
     rows = read_back(tmp_path, kalibr(0.9 * N[GYRO] / DEGREE, 0.8 * K[GYRO] / DEGREE))
     for name in ("gyroscope_noise_density", "gyroscope_random_walk"):
         assert "it is in deg/" in rows[name].text
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_the_options_of_a_file_are_read_back_from_its_comment(target: str) -> None:
+    """The line of JSON is in the comment of every format."""
+    options = ExportOptions(
+        axis_policy="rms", inflate={"white": 1.1, "flicker": 2.0}, step_s=0.2, horizon_s=700.5
+    )
+    assert read_options(render(consumer_report(), target, options)) == options
+    assert read_options("gyroscope_noise_density: 1.0") == ExportOptions()
+
+
+@pytest.mark.parametrize("line", ['{"axis": "worst"}', '{"axis": "w', '{"axis": 1, "inflate": 2}'])
+def test_a_changed_line_of_options_is_an_error(line: str, tmp_path: Path) -> None:
+    """The error has the file, and a way to fix it."""
+    path = tmp_path / "imu.yaml"
+    path.write_text(f"# imucal: {line}\ngyroscope_noise_density: 1.0\n", encoding="utf-8")
+    with pytest.raises(LimitsError, match="options in a comment is not valid; remove the line") as caught:
+        check_config(path, PAIR)
+    assert caught.value.place == str(path)

@@ -119,11 +119,11 @@ def test_one_bad_axis_does_not_hide_the_others(tmp_path: Path) -> None:
     assert {row["axis"] for row in _table(done.stdout)} == {"gyro_x", "gyro_y"}
     assert done.stderr == (
         "Error: log.csv: not noise: no result on gyro_z; 2 of 3 axes are stationary noise; "
-        "the curves were printed; record again at rest, or --force\n"
+        "the curves were printed; record again at rest, or force it\nUse --force.\n"
     )
     said = run("adev", "log.csv", "--gyro-unit", "rad/s", "--force", cwd=tmp_path)
     assert (said.returncode, said.stdout) == (0, done.stdout)
-    assert "error [no-result] gyro_z: no usable samples among 400: all are NaN," in said.stderr
+    assert "error [no-result] gyro_z: No usable samples among 400: all are NaN," in said.stderr
 
 
 def test_a_missing_log_is_exit_code_3(tmp_path: Path) -> None:

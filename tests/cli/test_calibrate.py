@@ -201,7 +201,7 @@ def test_a_log_that_cannot_be_calibrated_ends_with_code_4(
         assert "X, y, z of the gyroscope are y, -x, z of the accelerometer" in text
     if kind == "degrees":
         assert re.search(
-            r"The gyroscope reads 5\d\.?\d? for 1 rad/s: its unit is deg/s; try --gyro-unit", text
+            r"The gyroscope reads 5\d\.?\d? for 1 rad/s: its unit is deg/s. Try --gyro-unit deg/s.", text
         )
     if kind == "mirrored":
         assert "X, y, z of the gyroscope are -x, y, z of the accelerometer" in text

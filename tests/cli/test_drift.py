@@ -130,5 +130,5 @@ def test_refuses_with_what_to_do(tmp_path: Path) -> None:
     wrong = ("drift", "dead.csv", "--gyro-unit", "rad/s", "--times", "1s", "--rest", "1s", "-q")
     done = run(*wrong, cwd=tmp_path)
     assert (done.returncode, done.stdout) == (4, "")
-    assert "nothing was predicted; record again at rest, or --force" in done.stderr
+    assert "nothing was predicted; record again at rest, or force it" in done.stderr
     assert run(*wrong, "--force", cwd=tmp_path).stdout.startswith("Drift without aiding")

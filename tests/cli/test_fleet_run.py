@@ -52,7 +52,7 @@ def test_every_log_has_its_results_and_labels(done: Path) -> None:
     assert {started[:10] for started in logs["started"].drop_nulls()} == {"2026-01-01"}
     failed = logs.filter(status="unreadable")
     assert failed["content"][0]
-    assert failed["reason"][0].startswith("logs/beta/u02/15C/log0007.npz: ")
+    assert not failed["reason"][0].startswith("logs/")
     assert set(logs["samples"].drop_nulls()) == {2000}
     assert logs.filter(status="ok")["seconds"].to_list() == pytest.approx([20.0] * 7)
 

@@ -47,7 +47,7 @@ def test_a_process_that_cannot_start_only_fails_its_log(
     (done,) = FleetStore(tmp_path / "store").logs().rows(named=True)
     assert done["status"] == "crash"
     assert done["reason"] == (
-        "a.mcap: its process can't be started (Resource temporarily unavailable), as on an overloaded "
+        "its process can't be started (Resource temporarily unavailable), as on an overloaded "
         "machine; run again when it is less loaded"
     )
 

@@ -10,7 +10,7 @@ from imucal.findings import Finding
 from imucal.readers.builder import RecordingBuilder
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.scales import UnitGuess, Unscaled
-from imucal.recording import Sensor
+from imucal.recording import RAW_COUNTS, Sensor
 
 CLOCK = Clock.even(3, 10.0)
 
@@ -86,6 +86,22 @@ def test_given_units_override_inferred_ones(options: ReadOptions, decision: str,
     builder.add([samples(Sensor.ACCELEROMETER)])
     assert builder.decisions == [("accelerometer unit", decision)]
     npt.assert_allclose(builder.series[2].samples, scale)
+
+
+@pytest.mark.parametrize(
+    ("options", "value"),
+    [
+        (ReadOptions(), "g"),
+        (ReadOptions(accel_unit="mg"), "mg"),
+        (ReadOptions(accel_scale=0.5), "0.5 per count"),
+        (ReadOptions(accel_scale=1.0), RAW_COUNTS),
+    ],
+)
+def test_the_source_has_the_unit_without_its_reason(options: ReadOptions, value: str) -> None:
+    """Programs compare the value, and people read the decision."""
+    builder = RecordingBuilder(path="log", format="csv", options=options)
+    builder.add([samples(Sensor.ACCELEROMETER)])
+    assert builder.build(topics=["t"]).source.values == {"accelerometer unit": value}
 
 
 def test_units_in_the_log_override_inferred_ones() -> None:

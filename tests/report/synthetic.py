@@ -99,15 +99,15 @@ def consumer_report() -> Report:
         level="warning",
         code="tone",
         axis="gyro_x",
-        text="a line stands at 49.97 Hz with an amplitude of 3.1e-05 rad/s",
-        advice="it looks like mains hum; the fit left it out",
+        text="A line stands at 49.97 Hz with an amplitude of 3.1e-05 rad/s.",
+        advice="It looks like mains hum; the fit left it out.",
     )
     warm = Finding(
         level="warning",
         code="warm-up",
         axis="accel_z",
-        text="the mean drifts by 0.021 m/s^2 in the first 14 minutes",
-        advice="record after the sensor has warmed up, or keep the part from 840 s on",
+        text="The mean drifts by 0.021 m/s^2 in the first 14 minutes.",
+        advice="Record after the sensor has warmed up, or keep the part from 840 s on.",
         keep_s=(840.0, 10800.0),
     )
     gyro, accel = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
@@ -156,7 +156,7 @@ def consumer_report() -> Report:
                     level="info",
                     code="second-opinion",
                     axis="accel_z",
-                    text="the curve's own fit (gmwm) agrees within 1.1 standard deviations",
+                    text="The curve's own fit (gmwm) agrees within 1.1 standard deviations.",
                 ),
             ),
             band_hz=(1e-3, 100.0),
@@ -176,8 +176,8 @@ def consumer_report() -> Report:
             Finding(
                 level="info",
                 code="gaps",
-                text="1 gap of 120 s after 4000 s; the rest is unbroken",
-                advice="nothing needs doing: curve and fit know about gaps",
+                text="1 gap of 120 s after 4000 s; the rest is unbroken.",
+                advice="Nothing needs doing: curve and fit know about gaps.",
             ),
         ),
         version="0.1.0",

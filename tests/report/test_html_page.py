@@ -107,17 +107,17 @@ def test_findings_have_text_axis_and_advice(page: html.HtmlElement) -> None:
 
 
 def test_findings_with_the_same_advice_are_grouped() -> None:
-    """Six axes with the same problem are one item; a sentence that starts with an axis name keeps it."""
+    """Axes with the same advice are one item, and axes with the same text share a sentence."""
     report = consumer_report()
-    finding = replace(report.axes[0].findings[0], code="odd", axis=None, advice="look at it")
+    finding = replace(report.axes[0].findings[0], code="odd", axis=None, advice="Look at it.")
     axes = [
-        replace(axis, findings=(replace(finding, text=f"{axis.name} is odd" if i else "all is odd"),))
+        replace(axis, findings=(replace(finding, text="Odd." if i else "All is odd."),))
         for i, axis in enumerate(report.axes[:3])
     ]
     section = html.fromstring(findings_section(replace(report, axes=tuple(axes), findings=())))
     items = section.xpath(".//li[not(ancestor::li)]")
     assert [" ".join(item.text_content().split()) for item in items] == [
-        "odd gyro_x All is odd. gyro_y is odd. gyro_z is odd. Look at it."
+        "odd gyro_x All is odd. gyro_y gyro_z Odd. Look at it."
     ]
     calm = replace(report, axes=tuple(replace(axis, findings=()) for axis in report.axes[:2]), findings=())
     assert "No findings: no gap" in findings_section(calm)

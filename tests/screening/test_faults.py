@@ -241,19 +241,19 @@ FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
      "The axis settles exponentially, with a time constant of 22.2 s: a warm-up."),
     (still_warming, "warning", "warm-up", "gyro_z",
      "The axis settles exponentially, with a time constant of 64.5 s: a warm-up."),
-    (stuck, "warning", "stuck", "gyro_y", "gyro_y is stuck at one value for 4 s in all, first at 5.0 s."),
-    (dead, "error", "stuck", "gyro_y", "gyro_y never changes: all of its 20000 samples are 0.1 rad/s."),
+    (stuck, "warning", "stuck", "gyro_y", "The axis is stuck at one value for 4 s in all, first at 5.0 s."),
+    (dead, "error", "stuck", "gyro_y", "The axis never changes: all 20000 samples are 0.1 rad/s."),
     (unfilled, "error", "no-data", "accel_x",
-     "accel_x is 0 in all of its 20000 samples: the driver does not fill it."),
-    (without_finite, "error", "no-data", "gyro_x", "gyro_x has no finite sample."),
+     "All 20000 samples are 0: the driver does not fill this axis."),
+    (without_finite, "error", "no-data", "gyro_x", "No sample is finite."),
     (broken, "warning", "not-finite", "gyro_x",
-     ("51 samples of gyro_x (0.0026 of all) are NaN, infinite or absurdly large "
+     ("51 samples (0.0026 of all) are NaN, infinite or absurdly large "
      "and left out.")),
     (clipped, "warning", "saturated", "accel_z",
-     "accel_z is at its highest value, 9.84 m/s^2 (1003 mg), 1024 times: it is saturated, first at 0.0 s."),
+     "The axis is at its highest value, 9.84 m/s^2 (1003 mg), 1024 times: it is saturated, first at 0.0 s."),
     (coarse, "warning", "coarse-lsb", "gyro_x",
-     ("The steps of gyro_x, 0.004 rad/s (0.229 deg/s), are coarse: its noise is about 0.4 LSB, and rounding "
-     "distorts N and hides slow changes.")),
+     ("The steps of the axis, 0.004 rad/s (0.229 deg/s), are coarse: its noise is about 0.4 LSB, and "
+     "rounding distorts N and hides slow changes.")),
     (in_g, "warning", "unit-suspect", "accel",
      "|a| is 1 at rest, expected 9.8 in m/s^2: the unit looks like g."),
     (in_mg, "warning", "unit-suspect", "accel",
@@ -275,7 +275,7 @@ FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
     (copied, "error", "duplicate-axes", None,
      "gyro_x and gyro_z contain the same samples with opposite sign (correlation -1.000)."),
     (humming, "warning", "tone", "gyro_z",
-     ("gyro_z has a tone, which bends the Allan curve: 0.00102 rad/s (0.0586 deg/s) at 31.25 Hz, "
+     ("The axis has a tone, which bends the Allan curve: 0.00102 rad/s (0.0586 deg/s) at 31.25 Hz, "
      "perhaps a fan or motor at 1875 rpm, or a folded higher tone.")),
     (repeated, "warning", "held-samples", "gyro",
      ("50.0% of the gyroscope samples repeat the previous one on all axes: the log has 100 samples "

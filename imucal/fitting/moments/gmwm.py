@@ -46,10 +46,10 @@ def fit_gmwm(
         needed = len(structure) + sum(map(is_timed, structure))
         if points.size < needed:
             msg = (
-                f"{series.name if series else 'the curve'}: {points.size} averaging times are too few for "
+                f"{points.size} averaging times are too few for "
                 f"{needed} parameters of {structure_text(structure)}; record for longer or leave terms out"
             )
-            raise DataError(msg)
+            raise DataError(msg, place=series.name if series else "the curve")
     kept, fitted = best_band(points, np.diag(1 / _eta3_widths(points)), settings)
     solution = fitted.solution
     near = [(delta, other) for delta, other in fitted.ranking if delta <= _REPORTED]

@@ -209,10 +209,10 @@ def avar_points(series: AxisSeries | None, curve: AllanCurve) -> AvarPoints:
     where = series.name if series is not None else "the curve"
     if curve.estimator not in {"overlapping", "standard"}:
         msg = (
-            f"{where}: contains {curve.estimator} variances; a fit needs Allan variances, overlapping or "
+            f"contains {curve.estimator} variances; a fit needs Allan variances, overlapping or "
             "standard: compute those"
         )
-        raise DataError(msg)
+        raise DataError(msg, place=where)
     chosen: list[int] = []
     for index in np.flatnonzero(np.isfinite(curve.avar) & (curve.avar > 0)).tolist():
         if not chosen or curve.tau[index] >= _MIN_SPACING * curve.tau[chosen[-1]]:
@@ -220,10 +220,10 @@ def avar_points(series: AxisSeries | None, curve: AllanCurve) -> AvarPoints:
     used = np.array(chosen, dtype=np.int64)
     if used.size < 2:
         msg = (
-            f"{where}: {used.size} positive Allan variances at averaging times that differ by a factor "
+            f"{used.size} positive Allan variances at averaging times that differ by a factor "
             f"{_MIN_SPACING}; a fit needs at least 2: record for longer"
         )
-        raise DataError(msg)
+        raise DataError(msg, place=where)
     m = curve.m[used]
     known = curve.n >= 2 * int(m[-1])
     scale = float(np.exp(np.mean(np.log(curve.avar[used]))))

@@ -143,6 +143,24 @@ def misfit(ordinates: Ordinates, found: Fits) -> Goodness:
     return Goodness(statistic=statistic, p_value=float(scipy.special.ndtr(-statistic)), chi2_per_bin=square)
 
 
+def octave_score(ordinates: Ordinates, found: Fits) -> float:
+    """Return the probability that a right model differs as much from the level of some octaves.
+
+    The residuals of an octave are summed with their signs, so that an octave which is too high as a whole
+    counts, even if each residual is small. The sum of X²/S over an octave of n ordinates, less n, has the
+    variance 2n. Each parameter of the model takes away one degree of freedom.
+    """
+    octave = np.floor(np.log2(ordinates.fraction))
+    order = np.argsort(octave, kind="stable")
+    first = np.flatnonzero(np.diff(octave[order], prepend=-np.inf))
+    size = np.add.reduceat(ordinates.size[order], first)
+    ratio = np.add.reduceat((ordinates.rest(found.beta[0]) / found.spectrum[0])[order], first)
+    known = size >= _LEAST_OF_OCTAVE
+    score = (ratio - size)[known] / np.sqrt(2 * size[known])
+    free = int(found.models.free[0].sum())
+    return float(scipy.special.chdtrc(max(score.size - free, 1), np.sum(score**2)))
+
+
 def misfit_factors(ordinates: Ordinates, found: Fits) -> FloatArray:
     """Return the factor by which a misfit widens the error of each variance parameter, shape (s,).
 
@@ -170,6 +188,10 @@ def _residuals(ordinates: Ordinates, found: Fits) -> tuple[IntArray, FloatArray,
     return first, size, residual
 
 
+#: Probability of an octave score below which a description is not sound.
+UNLIKELY = 1e-3
+#: Least number of ordinates of an octave whose sum is nearly normal.
+_LEAST_OF_OCTAVE = 60
 #: Number of correlation times in the dictionary.
 _GRID = 16
 #: Rounds of updates, number of best mixtures of each model, and exponent.

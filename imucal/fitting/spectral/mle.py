@@ -32,16 +32,24 @@ from imucal.fitting.spectral.blocks import SeriesBlocks, bin_blocks, bins_of, ma
 from imucal.fitting.spectral.bounds import either, estimate_or_bound, hull_estimates, numbered, with_absent
 from imucal.fitting.spectral.disturbances.band import Band, filter_finding, response_of
 from imucal.fitting.spectral.disturbances.band_search import find_band
+from imucal.fitting.spectral.disturbances.levels import (
+    Level,
+    hidden_levels,
+    level_at_the_top,
+    levels_finding,
+    outside,
+    with_levels,
+)
 from imucal.fitting.spectral.disturbances.not_noise import find_shapes, line_finding, tone_finding
 from imucal.fitting.spectral.disturbances.segments import fit_segments
 from imucal.fitting.spectral.estimates import Problem, covariance_of, misfits_of, model_of
 from imucal.fitting.spectral.likelihood import Fits, spectra
-from imucal.fitting.spectral.maximum import misfit
+from imucal.fitting.spectral.maximum import UNLIKELY, misfit, octave_score
 from imucal.fitting.spectral.models import SHORTEST_GIVEN, Structure, all_structures, richest
 from imucal.fitting.spectral.ordinates import Ordinates, band_top
 from imucal.fitting.spectral.selection import RankedModels, choice_findings, choose, near_candidates
 from imucal.frozen import frozen_alone
-from imucal.noise.terms import GaussMarkov
+from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.processes import try_side_work
 from imucal.recording import AxisSeries
 
@@ -112,10 +120,15 @@ def fit_mle(
     )
     covariance = widened_covariance(names, covariance, segments, misfits)
     estimates, names = numbered(_or_filter(widened(estimates, segments, misfits), view.band), names)
+    levels = _other_levels(estimates, problem, view, fitted, series) if settings.structure is None else ()
+    two_levels = levels_finding(estimates, levels, TERMS["N"].unit(series.sensor), series.name)
+    estimates = with_levels(estimates, levels)
     findings = [*view.findings, *tone_finding(view.blocks, series, fitted=True)]
     findings += line_finding(view.blocks.lines, series)
     findings += filter_finding(fitted, view.band, response, rate_hz=series.rate_hz, axis=series.name)
-    findings += _misfit_findings(found, misfits, str(model), series.name)
+    findings += two_levels
+    octaves = octave_score(view.ordinates, fitted)
+    findings += _misfit_findings(found, octaves, misfits, str(model), series.name)
     findings += [*not_compared, *nonstationary_finding(segments, change, series.name)]
     if settings.structure is None:
         findings += choice_findings(choice, series.name)
@@ -170,6 +183,22 @@ def _estimates(
             estimates, hull_estimates(alternative, _choice(alternative, view.band, settings))[2]
         )
     return fitted, own, estimates
+
+
+def _other_levels(
+    estimates: tuple[Estimate, ...], problem: Problem, view: View, fitted: Fits, series: AxisSeries
+) -> tuple[Level, ...]:
+    """Return readings of N besides that of the fit: at the highest frequencies, and before a smoothing."""
+    if view.band.flat:
+        return hidden_levels(estimates, tau0=series.tau0)
+    rounding = ((step_size(series.samples) or 0.0) / view.blocks.scale) ** 2 / 12
+    found = level_at_the_top(view.whole, fitted.beta[0], rounding=rounding)
+    if found is None:
+        return ()
+    variance, error = found
+    value = problem.deviation("N") * variance**0.5
+    top = Level(value=value, low=value * (1 - error), high=value * (1 + error))
+    return outside(estimates, [top])
 
 
 def _or_filter(estimates: tuple[Estimate, ...], band: Band) -> tuple[Estimate, ...]:
@@ -266,15 +295,20 @@ def _used(curve: AllanCurve, band: Band, corner: float) -> IntArray:
 
 
 def _misfit_findings(
-    found: Goodness, misfits: dict[str, float], model: str, axis: str
+    found: Goodness, octaves: float, misfits: dict[str, float], model: str, axis: str
 ) -> tuple[Finding, ...]:
-    if found.statistic < MISFIT:
+    """Return the warning for large residuals, or for octaves that are too high or too low as a whole."""
+    if found.statistic < MISFIT and octaves > UNLIKELY:
         return ()
-    wider = ", ".join(f"{symbol} {factor:.3g}" for symbol, factor in misfits.items() if factor > 1)
-    allow = f" The intervals are wider to allow for it: {wider} times." if wider else ""
-    text = (
-        f"{model} does not describe this axis: the mean squared residual of its spectrum is "
-        f"{found.chi2_per_bin:.3g}, expected 1 (score {found.statistic:.1f}).{allow}"
-    )
+    if found.statistic < MISFIT:
+        why = f"some octaves of its spectrum are too high or too low (by chance with p = {octaves:.1g})."
+    else:
+        wider = ", ".join(f"{symbol} {factor:.3g}" for symbol, factor in misfits.items() if factor > 1)
+        allow = f" The intervals are wider to allow for it: {wider} times." if wider else ""
+        why = (
+            f"the mean squared residual of its spectrum is {found.chi2_per_bin:.3g}, expected 1 "
+            f"(score {found.statistic:.1f}).{allow}"
+        )
+    text = f"{model} does not describe this axis: {why}"
     advice = "Look for vibration, tones and other disturbances in the spectrum."
     return (Finding("warning", "model-misfit", text, advice, axis=axis),)

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from imucal.errors import ReadError
+from imucal.errors import Fix, ReadError
 from imucal.findings import Finding
 from imucal.readers.containers.container import Batch, Channel, Loss, MessageFile, Task
 from imucal.readers.files import first_bytes, refused
@@ -25,8 +25,10 @@ Value = TypeVar("Value")
 
 #: Signature of a write-ahead log.
 _WAL = b"\x37\x7f\x06"
-#: Average bytes per task, and fewest rows.
-_PART, _ROWS = 1 << 22, 256
+#: Average bytes of a task.
+_PART = 1 << 22
+#: Fewest rows of a task.
+_ROWS = 256
 #: Rows fetched at once; more is slower.
 _FETCH = 1024
 #: Damaged ranges are halved down to this many rows.
@@ -41,8 +43,17 @@ _MAX_VALUE = 1 << 28
 _INSTRUCTIONS = 100_000
 #: Values of `hidden` in SQLite's table_xinfo for columns that SQLite computes.
 _GENERATED = frozenset({2, 3})
-#: Tables of a bag that are read.
-_TABLES = frozenset({"messages", "topics", "message_definitions"})
+#: Tables of a bag that are read -> their columns; bags older than ROS 2 Iron have no definitions.
+_TABLES = {
+    "messages": ("topic_id", "timestamp", "data"),
+    "topics": ("id", "name", "type", "serialization_format"),
+    "message_definitions": ("topic_type", "encoding", "encoded_message_definition"),
+}
+_REQUIRED = ("messages", "topics")
+#: The last byte of an error code is its kind; the other bytes are details.
+_KIND = 0xFF
+#: Kinds of errors of a database that another program writes.
+_IN_USE = frozenset({sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED})
 #: The last three come from values of a wrong type.
 _ERRORS = (sqlite3.Error, TypeError, ValueError, OverflowError)
 
@@ -64,7 +75,7 @@ class SqliteFile(MessageFile):
         self._end = time.monotonic() + patience(self.size)
         try:
             self._base = self._connect()
-            self._refuse_computed_tables()
+            self._check_tables()
             first, last = self._ends("rowid")
             self._rows = range(0) if first is None or last is None else range(first, last + 1)
             self.start_ns, self.end_ns = _if_whole(lambda: self._ends("timestamp")) or (None, None)
@@ -114,16 +125,21 @@ class SqliteFile(MessageFile):
         base.execute("select count(*) from sqlite_master").fetchone()
         return base
 
-    def _refuse_computed_tables(self) -> None:
-        """Raise ReadError if views, virtual tables or computed columns replace the tables of a bag.
+    def _check_tables(self) -> None:
+        """Raise ReadError if tables or columns of a bag are missing, or are computed by the database.
 
-        Their queries may run forever, or return more than the file contains.
+        Views, virtual tables and computed columns may run forever, or return more than the file contains.
         """
+        lacking = set(_REQUIRED)
         for name, kind, page in self._base.execute("select name, type, rootpage from sqlite_master"):
-            if str(name).lower() not in _TABLES:
+            table = str(name).lower()
+            if table not in _TABLES:
                 continue
+            lacking.discard(table)
             columns = self._base.execute("select name, hidden from pragma_table_xinfo(?)", (name,)).fetchall()
             computed = [str(column) for column, hidden in columns if hidden in _GENERATED]
+            there = {str(column).lower() for column, _ in columns}
+            missing = [column for column in _TABLES[table] if column not in there]
             found = ""
             if kind != "table":
                 found = f"{name} is a {kind}"
@@ -134,6 +150,10 @@ class SqliteFile(MessageFile):
             if found:
                 advice = "expected a table that ROS wrote; read a bag that you recorded or trust"
                 raise refused(self.path, f"{found}; {advice}")
+            if missing:
+                raise _incomplete(self.path, f"table {name} has no column {missing[0]}")
+        if lacking:
+            raise _incomplete(self.path, f"there is no table {min(lacking)}")
 
     def _check_pages(self) -> None:
         """Add a finding if pages are damaged, or if the table lacks messages that its index lists."""
@@ -280,16 +300,22 @@ def _if_whole(query: Callable[[], Value]) -> Value | None:
         return None
 
 
+def _incomplete(path: Path, found: str) -> ReadError:
+    problem = f"the SQLite database can't be read: {found}; expected a ROS 2 bag"
+    return ReadError(problem, place=path, fix=Fix("check that it is complete"))
+
+
 def _refusal(path: Path, error: Exception) -> ReadError:
     # .recover needs the virtual table of pages, which Debian's sqlite3 lacks.
     advice = (
         f"copy it again, or recover it with `sqlite3 {shlex.quote(path.name)} .recover | "
         "sqlite3 recovered.db3` (use sqlite3 from sqlite.org if yours prints an SQL error)"
     )
-    if "no such" in str(error):
-        advice = "check that it is complete"
-    elif getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
+    # Python's own errors have no code.
+    kind = getattr(error, "sqlite_errorcode", 0) & _KIND
+    if kind == sqlite3.SQLITE_INTERRUPT:
         advice = "a query takes too long, so the file is damaged or was not written by ROS"
-    elif "locked" in str(error):
+    elif kind in _IN_USE:
         advice = "stop the recorder, or copy the bag and read the copy"
-    return refused(path, f"the SQLite database can't be read: {error}; expected a ROS 2 bag, {advice}")
+    problem = f"the SQLite database can't be read: {error}; expected a ROS 2 bag"
+    return ReadError(problem, place=path, fix=Fix(advice))

@@ -18,8 +18,8 @@ _BEFORE = 12
 _MAX_FRAME_BYTES = 256
 
 
-def first_frames(containers: Sequence[Container], topics: Sequence[Topic]) -> list[tuple[str, str]]:
-    """Return the frames of topics as decisions of a recording."""
+def first_frames(containers: Sequence[Container], topics: Sequence[Topic]) -> list[str]:
+    """Return the frames of topics."""
     frames = []
     for topic in topics:
         headed = topic.leaves[:1] and topic.leaves[0].path.startswith("header.")
@@ -28,7 +28,7 @@ def first_frames(containers: Sequence[Container], topics: Sequence[Topic]) -> li
             if message is not None:
                 frames.append(frame_of(message, channel.encoding))
                 break
-    return [("frame", frame) for frame in frames if frame]
+    return [frame for frame in frames if frame]
 
 
 def frame_of(message: bytes, encoding: str) -> str:

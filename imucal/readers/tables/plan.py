@@ -52,8 +52,10 @@ _PARTNERS = {
     for case in (str.lower, str.capitalize, str.upper)
 }
 
-#: Most columns, and most columns texts, in a message.
-_MAX_LISTED, _MAX_EXAMPLES = 12, 4
+#: Most columns that a message lists.
+_MAX_LISTED = 12
+#: Most values of --columns that a message suggests.
+_MAX_EXAMPLES = 4
 #: Most different tags in a column.
 _MAX_TAGS = 8
 
@@ -81,6 +83,11 @@ class TablePlan:
     dialect: Dialect | None
     decisions: tuple[tuple[str, str], ...]
     findings: tuple[Finding, ...] = ()
+
+    @property
+    def layout(self) -> str:
+        """The name of the dialect; empty if there is none."""
+        return self.dialect.name if self.dialect else ""
 
     @property
     def topics(self) -> tuple[str, ...]:

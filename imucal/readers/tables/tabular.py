@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from hashlib import blake2b
-from itertools import chain
 from pathlib import Path
 from typing import Any, cast
 
@@ -46,8 +45,10 @@ _RATE_TOLERANCE = 0.1
 
 _SECOND = 10**9
 
-#: Above any sensor's rate; and about 30 years, within 64 bits.
-_MAX_RATE_HZ, _MAX_TIME_NS = 1e6, 1e18
+#: Above any sensor's rate.
+_MAX_RATE_HZ = 1e6
+#: About 30 years, within 64 bits.
+_MAX_TIME_NS = 1e18
 
 #: Usual rate of an IMU, in Hz, with which units are inferred if the rate is unknown.
 _USUAL_RATE_HZ = 100.0
@@ -339,8 +340,9 @@ def assemble(
 
     Raises ChoiceError if a unit or the clock is ambiguous; DataError if there are no samples, or no rate.
     """
-    for what, how in chain.from_iterable(plan.decisions for plan in plans):
-        work.decide(what, how)
+    for plan in plans:
+        for what, how in plan.decisions:
+            work.decide(what, how, value=plan.layout if what == "layout" else "")
     samples = _without_first_rows(work, [_of_sensor(work, columns) for columns in sensors])
     kept = [_without_held(work, columns) for columns in samples]
     lacking: list[ChoiceError] = []
@@ -434,13 +436,15 @@ def contents_of(
     if isinstance(found, ImucalError):
         return replace(contents, topics=(topic.refused(found),))
     first = found.series[0]
+    units = tuple((what, how) for what, how in found.source.decisions if what.endswith("unit"))
     topic = replace(
         topic,
         count=first.n,
         rate_hz=first.rate_hz,
         duration_s=first.duration_s,
         sensors=tuple(dict.fromkeys(series.sensor for series in found.series)),
-        note="; ".join(f"{what} {how}" for what, how in found.source.decisions if what.endswith("unit")),
+        note="; ".join(f"{what} {how}" for what, how in units),
+        decisions=units,
     )
     return replace(contents, topics=(topic,), start_ns=first.clock.start_ns, duration_s=first.duration_s)
 

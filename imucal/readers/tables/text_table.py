@@ -456,10 +456,13 @@ def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Record
         series = [replace(one, clock=series[0].clock) for one in series]
     topics = chain.from_iterable(part.source.topics for part in parts)
     decisions = chain([("files", ", ".join(names))], *(part.source.decisions for part in parts))
+    values = dict(chain.from_iterable(part.source.values.items() for part in parts))
     findings = chain.from_iterable(part.findings for part in parts)
     return replace(
         parts[0],
-        source=replace(source, topics=tuple(topics), decisions=tuple(dict.fromkeys(decisions))),
+        source=replace(
+            source, topics=tuple(topics), decisions=tuple(dict.fromkeys(decisions)), values=values
+        ),
         series=tuple(series),
         temperature=next((part.temperature for part in parts if part.temperature is not None), None),
         findings=tuple(dict.fromkeys(findings)),
@@ -517,7 +520,7 @@ def _described(
     found: Recording | ImucalError
     try:
         found = reading()
-        layout = dict(found.source.decisions).get("layout", "table").partition(",")[0]
+        layout = found.source.values.get("layout", "table")
     except (ChoiceError, DataError) as error:
         found, layout = error, "table"
     return contents_of(path, "csv", found, size=size, layout=layout, compression=compression)

@@ -1,10 +1,13 @@
 """The downstream files of filters and simulators: a table of formats, each defined in a TOML file."""
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 from imucal.atomic import write_configs
-from imucal.report.exports.config_numbers import DEFAULT_OPTIONS, ExportOptions
+from imucal.errors import ArgumentError, DataError, Fix
+from imucal.grading import FORCE, refusal
+from imucal.report.exports.config_numbers import DEFAULT_OPTIONS, ExportOptions, vague_axes
 from imucal.report.exports.target import Target, name_key, read_targets
 from imucal.report.result import Report
 
@@ -14,6 +17,7 @@ __all__ = [
     "ExportOptions",
     "export",
     "find_target",
+    "refuse_unsound",
     "render",
 ]
 
@@ -32,6 +36,7 @@ FAMILIES: dict[str, tuple[Target, ...]] = {
 #: Name of a format -> the format.
 TARGETS: dict[str, Target] = {target.name: target for family in FAMILIES.values() for target in family}
 
+_NOTHING = "nothing was exported"
 #: Names of other programs -> text of the error message.
 _OTHERS = {
     "isaac": "Isaac ROS is isaac-ros, Isaac Sim is isaac-sim",
@@ -42,8 +47,11 @@ _OTHERS = {
 }
 
 
-def find_target(name: str) -> Target:
-    """Return a format by its name or an alias; raises ValueError with the nearest name."""
+def find_target(name: str, *, others: Iterable[str] = ()) -> Target:
+    """Return a format by its name or an alias.
+
+    Raises ArgumentError with the nearest name. Its list of names includes `others`, which the caller accepts.
+    """
     by_key = {
         name_key(each): target for target in TARGETS.values() for each in (target.name, *target.aliases)
     }
@@ -52,13 +60,27 @@ def find_target(name: str) -> Target:
         near = [target.name for key, target in by_key.items() if _is_slip(name_key(name), key)]
         meant = f"did you mean {near[0]}? " if near else ""
         text = f"{_OTHERS[name_key(name)]}; " if name_key(name) in _OTHERS else meant
-        raise ValueError(f"no downstream format {name!r}; {text}choose one of {', '.join(TARGETS)}")
+        fix = Fix(f"{text}choose one of {', '.join([*TARGETS, *others])}", "target")
+        raise ArgumentError(f"no downstream format {name!r}", fix=fix)
     return found
 
 
 def render(report: Report, target: str, options: ExportOptions = DEFAULT_OPTIONS) -> str:
     """Return the text of a downstream file; options and errors as in `export`."""
     return find_target(target).render(report, options)
+
+
+def refuse_unsound(report: Report, *, place: object) -> None:
+    """Raise a DataError if a filter must not use a report.
+
+    It is not noise at rest, or N of an axis is uncertain by more than a factor of 10.
+    """
+    if not report.verdict.usable:
+        raise refusal(report.verdict, report.all_findings, place=place, consequence=_NOTHING)
+    axes = vague_axes(report)
+    if axes:
+        problem = f"N of {', '.join(axes)} is uncertain by more than a factor of 10; {_NOTHING}"
+        raise DataError(problem, place=place, fixes=(Fix("record for longer"), FORCE), code="uncertain")
 
 
 def export(

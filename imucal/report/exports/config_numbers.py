@@ -3,6 +3,7 @@
 A filter with the fitted N and K alone would be overconfident; see `imucal.prediction.filter_numbers`.
 """
 
+import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, replace
@@ -10,7 +11,7 @@ from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
-from imucal.errors import DataError
+from imucal.errors import DataError, Fix
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.frozen import frozen, frozen_alone
 from imucal.noise.model import NoiseModel
@@ -31,8 +32,10 @@ Basis: TypeAlias = Literal["covered", "as-fitted"]
 #: Name of an inflation -> symbols of its terms.
 INFLATABLE: dict[str, tuple[str, ...]] = {"white": ("N",), "walk": ("K",), "flicker": ("B", "GM")}
 COVERING = ("N", "K")
-#: States per decade of a flicker bank, and ratio of the time of equal white noise to its shortest T.
-_PER_DECADE, _MARGIN = 1.5, 10.0
+#: States per decade of a flicker bank.
+_PER_DECADE = 1.5
+#: Ratio of the time at which white noise equals the flicker to the shortest T of the bank.
+_MARGIN = 10.0
 #: At a larger ratio of its limits, N is too uncertain for a filter.
 _VAGUE = 10.0
 #: Correlation time if none was measured, in s: long enough that a random walk stays one.
@@ -83,6 +86,42 @@ class ExportOptions:
 
 
 DEFAULT_OPTIONS = ExportOptions()
+#: Start of the line in a file's comment that contains the options as JSON, for `read_options`.
+_OPTIONS_MARK = "imucal: "
+
+
+def options_line(options: ExportOptions, horizon_s: float) -> str:
+    """Return the options of a file's numbers as one line of its comment, for `read_options`."""
+    document = {
+        "axis": options.axis_policy,
+        "inflate": dict(options.inflate),
+        "step_s": options.step_s,
+        "horizon_s": horizon_s,
+    }
+    return _OPTIONS_MARK + json.dumps(document)
+
+
+def read_options(text: str) -> ExportOptions:
+    """Return the options in the comment of a file; the defaults if imucal did not write the file.
+
+    Raises ValueError if the line of the options was changed and is not valid.
+    """
+    for line in map(str.strip, text.splitlines()):
+        if f"{_OPTIONS_MARK}{{" not in line:
+            continue
+        try:
+            # A JSON file has no comments, so its line is a quoted text.
+            comment = json.loads(line.removesuffix(",")) if line.startswith('"') else line
+            document = json.loads(comment.partition(_OPTIONS_MARK)[2])
+            return ExportOptions(
+                axis_policy=document["axis"],
+                inflate=document["inflate"],
+                step_s=document["step_s"],
+                horizon_s=document["horizon_s"],
+            )
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"its options are not valid: {line}") from error
+    return DEFAULT_OPTIONS
 
 
 @frozen
@@ -265,11 +304,11 @@ class Numbers:
         if bounded and self.options.unidentified == "refuse":
             unit = TERMS[symbol].unit(axis.sensor)
             msg = (
-                f"{self.report.source.path}: {axis.name}: {symbol} was not detected "
+                f"{axis.name}: {symbol} was not detected "
                 f"(upper bound {estimate.high:.3g} {unit}), but {self.target} needs a value; "
                 "accept the bound, choose an axis on which it is detected, or record for longer"
             )
-            raise DataError(msg)
+            raise DataError(msg, place=self.report.source.path)
         value = factor * (estimate.high if estimate.value is None else estimate.value)
         covered = self.covers and symbol in COVERING
         return Number(
@@ -384,18 +423,18 @@ class Numbers:
         if math.isfinite(value) and value > 0:
             return value
         msg = (
-            f"{self.report.source.path}: {name}: {symbol} is {value}, but {self.target} needs a positive "
+            f"{name}: {symbol} is {value}, but {self.target} needs a positive "
             "number; choose another axis, or a model with this term"
         )
-        raise DataError(msg)
+        raise DataError(msg, place=self.report.source.path)
 
     def _missing(self, what: str) -> DataError:
         found = ", ".join(axis.name for axis in self.report.axes) or "no axis"
-        msg = (
-            f"{self.report.source.path}: no {what}, which {self.target} needs; found {found}; use a log with "
-            "all axes of both sensors"
+        return DataError(
+            f"no {what}, which {self.target} needs; found {found}",
+            place=self.report.source.path,
+            fix=Fix("use a log with all axes of both sensors"),
         )
-        return DataError(msg)
 
 
 def flicker_bank(B: float, shortest_s: float, longest_s: float) -> tuple[GaussMarkov, ...]:

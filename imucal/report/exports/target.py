@@ -25,6 +25,7 @@ from imucal.report.exports.config_numbers import (
     Number,
     Numbers,
     WithBias,
+    options_line,
 )
 from imucal.report.given import GIVEN
 from imucal.report.result import AxisReport, Report
@@ -224,18 +225,22 @@ class Target:
             horizon_s=options.horizon_s or max(self.horizon_s, 2 * options.step_s),
         )
 
-    def render(self, report: Report, options: ExportOptions) -> str:
-        """Return the text of the file; raises `DataError` if a number is missing."""
+    def render(self, report: Report, options: ExportOptions, *, calibrated: bool = False) -> str:
+        """Return the text of the file; raises `DataError` if a number is missing.
+
+        With `calibrated`, the matrices of the sensors are left out, because a calibration adds them.
+        """
         numbers, carried = self.numbers(report, options), self.carries.split()
         if "K" in carried:
             _refuse_without_walk(report, self.title)
         known = self._known(numbers)
-        body = template(self.text).render(known).removesuffix("\n")
+        body = template(self.text).render(known, calibrated=calibrated).removesuffix("\n")
         estimates = [(axis, e) for axis in report.axes for e in axis.fit.estimates]
         lines = [(axis, line) for axis in report.axes for line in axis.fit.goodness.lines]
         return template(_format("file.txt")).render(
             known,
             body=body,
+            options_line=options_line(options, numbers.horizon_s),
             all_sensors=tuple(Sensor),
             rates=[numbers.rate_hz(sensor) for sensor in numbers.sensors],
             lost=[(axis, e) for axis, e in estimates if e.value is not None and e.symbol not in carried],

@@ -41,7 +41,7 @@ def _maximum(objective: float, information: FloatArray) -> Fits:
 
 def _trial(order: Order, objective: float, statistic: float = 0.0) -> _Trial:
     maximum = _maximum(objective, np.zeros((SHAPED, SHAPED)))
-    return _Trial(fraction=1.0, order=order, fit=maximum, statistic=statistic, deviation=0.1)
+    return _Trial(fraction=1.0, order=order, fit=maximum, statistic=statistic, octaves=0.5, deviation=0.1)
 
 
 @pytest.mark.parametrize(

@@ -66,6 +66,7 @@ def test_a_misfit_is_reported_from_a_score_of_three(statistic: float, *, reporte
     """The finding contains the mean squared residual and the score."""
     found = _misfit_findings(
         Goodness(statistic=statistic, p_value=0.1, chi2_per_bin=1.234),
+        0.5,
         {"N": 1.3, "B": 2.0, "K": 1.0},
         "N=1 + K=2",
         "gyro_x",

@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy import stats
+from scipy.signal import butter, sosfilt
 
 from imucal.fitting.robust import heavy_tails
 from imucal.fitting.spectral.likelihood import evaluate
-from imucal.fitting.spectral.maximum import misfit
+from imucal.fitting.spectral.maximum import UNLIKELY, misfit, octave_score
 from imucal.fitting.spectral.models import models_of
 from imucal.noise.model import parse_structure
 from imucal.recording import AxisSeries
@@ -23,6 +25,57 @@ def test_the_score_of_the_true_model_is_standard_normal() -> None:
     # Three standard errors of a mean and of a standard deviation; the sum is slightly skewed.
     assert np.mean(scores) == pytest.approx(0, abs=3 / np.sqrt(300))
     assert np.std(scores) == pytest.approx(1, abs=0.2)
+
+
+def test_the_octave_score_of_the_true_model_is_a_probability() -> None:
+    """It is uniform over 400 records of white noise whose level is fitted."""
+    scores = []
+    for seed in range(400):
+        samples = np.random.default_rng([62, seed]).standard_normal(5000)
+        data = ordinates_of(samples)
+        model = models_of([("N",)], ("R",))
+        theta = np.zeros((1, 4))
+        theta[0, 1] = np.log(np.mean(samples**2))
+        scores.append(octave_score(data, evaluate(data, model, theta)))
+    # Four standard errors of a proportion.
+    for level in (0.01, 0.1, 0.5):
+        allowed = 4 * np.sqrt(level * (1 - level) / 400)
+        assert np.mean(np.array(scores) < level) == pytest.approx(level, abs=allowed)
+
+
+def test_the_octave_score_agrees_with_a_sum_over_each_octave() -> None:
+    """The slow way: for every octave with 60 ordinates or more, one chi-squared with its own scale."""
+    data = ordinates_of(simulated("N=1 + K=0.05", 4000, 9))
+    model = models_of([("N", "K")], ("R",))
+    found = evaluate(data, model, np.array([[0.0, 0.1, 0.0, np.log(0.05**2)]]))
+    squares, scores = data.rest(found.beta[0]) / found.spectrum[0], []
+    for octave in range(-12, 1):
+        inside = (data.fraction >= 2.0**octave) & (data.fraction < 2.0 ** (octave + 1))
+        count = data.size[inside].sum()
+        if count >= 60:
+            scores.append((squares[inside].sum() - count) / np.sqrt(2 * count))
+    free = int(found.models.free[0].sum())
+    expected = stats.chi2.sf(np.sum(np.square(scores)), len(scores) - free)
+    assert len(scores) > free + 2
+    assert octave_score(data, found) == pytest.approx(expected)
+
+
+def test_an_octave_that_is_a_little_too_high_shows_in_its_sum_only() -> None:
+    """A band of two octaves with 16 % more density: the mean square of the residuals is that of noise."""
+    model = models_of([("N",)], ("R",))
+    squares, octaves = [], []
+    for seed in range(20):
+        samples = np.random.default_rng([63, seed]).standard_normal(40_000)
+        band = butter(4, (0.04, 0.16), "band", output="sos")
+        samples += 0.4 * sosfilt(band, np.random.default_rng([64, seed]).standard_normal(40_000))
+        data = ordinates_of(samples)
+        theta = np.zeros((1, 4))
+        theta[0, 1] = np.log(np.mean(samples**2))
+        found = evaluate(data, model, theta)
+        squares.append(misfit(data, found).statistic < 3)
+        octaves.append(octave_score(data, found) < UNLIKELY)
+    assert sum(squares) >= 12
+    assert sum(octaves) >= 16
 
 
 def test_a_wrong_model_has_a_misfit() -> None:

@@ -300,7 +300,7 @@ def test_a_cut_file_is_refused(lost: int, tmp_path: Path) -> None:
         SqliteFile(path)
     assert str(caught.value) == (
         f"{path}: the SQLite database can't be read: it has {len(data) - lost} of {len(data)} bytes; "
-        "expected a ROS 2 bag, copy it again, or recover it with "
+        "expected a ROS 2 bag; copy it again, or recover it with "
         "`sqlite3 log.db3 .recover | sqlite3 recovered.db3` "
         "(use sqlite3 from sqlite.org if yours prints an SQL error)"
     )
@@ -326,7 +326,7 @@ def test_another_database_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "contacts.db3"
     with closing(sqlite3.connect(path)) as base, base:
         base.execute("create table people(name text)")
-    with raises(ReadError, "no such table: messages", place="contacts.db3"):
+    with raises(ReadError, "there is no table messages", place="contacts.db3"):
         SqliteFile(path)
 
 
@@ -335,7 +335,7 @@ def test_a_locked_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     connect = sqlite3.connect
     monkeypatch.setattr(sqlite3, "connect", partial(connect, timeout=0.01))
     path = database(tmp_path)
-    advice = "database is locked; expected a ROS 2 bag, stop the recorder, or copy the bag and read the copy"
+    advice = "database is locked; expected a ROS 2 bag; stop the recorder, or copy the bag and read the copy"
     with closing(connect(path, isolation_level=None)) as recorder, closing(SqliteFile(path)) as file:
         recorder.execute("begin exclusive")
         with raises(ReadError, advice, place="log.db3"):
@@ -422,3 +422,12 @@ def test_separate_messages_become_one_batch() -> None:
     batch = batch_of_blobs([b"ab", b"", b"cde"], [5, 6, 7])
     assert payloads(batch) == [(5, b"ab"), (6, b""), (7, b"cde")]
     assert batch_of_blobs([], []).n == 0
+
+
+def test_a_table_without_a_column_of_a_bag_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "old.db3"
+    with closing(sqlite3.connect(path)) as base, base:
+        base.execute("create table messages(topic_id integer, timestamp integer)")
+        base.execute("create table topics(id integer, name text, type text, serialization_format text)")
+    with pytest.raises(ReadError, match="table messages has no column data; expected a ROS 2 bag"):
+        SqliteFile(path)

@@ -26,7 +26,7 @@ from imucal.fitting.spectral.disturbances.band import (
 )
 from imucal.fitting.spectral.disturbances.hump import find_hump
 from imucal.fitting.spectral.likelihood import Fits, derivatives
-from imucal.fitting.spectral.maximum import fit_blindly, maximize, misfit
+from imucal.fitting.spectral.maximum import UNLIKELY, fit_blindly, maximize, misfit, octave_score
 from imucal.fitting.spectral.models import (
     COLUMN,
     SHORTEST,
@@ -84,13 +84,21 @@ _MIN_BINS = 24
 
 @frozen_alone
 class _Trial:
-    """One description of a band; `deviation` is the relative standard error of N."""
+    """One description of a band.
+
+    `statistic` is its misfit score, `octaves` the probability of its octave score, and `deviation` the
+    relative standard error of N.
+    """
 
     fraction: float
     order: Order
     fit: Fits
     statistic: float
+    octaves: float
     deviation: float
+
+    def is_sound(self, limit: float) -> bool:
+        return self.statistic < limit and self.octaves > UNLIKELY
 
 
 def find_band(
@@ -203,6 +211,7 @@ class _BandSearch:
                 order=order,
                 fit=(found := every[[row]]),
                 statistic=misfit(seen, found).statistic,
+                octaves=octave_score(seen, found),
                 deviation=_deviation_of_white(found),
             )
             for row, order in enumerate(orders)
@@ -314,7 +323,7 @@ def _simplest(trials: list[_Trial]) -> tuple[_Trial, _Trial] | None:
 def _enough(trials: list[_Trial], chance: tuple[float, float] = _GAIN, sound: float = _SOUND) -> bool:
     first = trials[0]
     gains = [2 * float(first.fit.objective[0] - t.fit.objective[0]) for t in trials[1:]]
-    return first.statistic < sound and all(g < most for g, most in zip(gains, chance, strict=False))
+    return first.is_sound(sound) and all(g < most for g, most in zip(gains, chance, strict=False))
 
 
 def _deviation_of_white(fit: Fits) -> float:

@@ -105,7 +105,7 @@ def tone_finding(blocks: SeriesBlocks, series: AxisSeries, *, fitted: bool) -> t
     count = f"{len(lines)} tones" if many else "a tone"
     effect = f", which {'bend' if many else 'bends'} the Allan curve" if visible else ""
     level: Level = "warning" if visible else "info"
-    text = f"{series.name} has {count}{effect}: {'; '.join(named)}."
+    text = f"The axis has {count}{effect}: {'; '.join(named)}."
     advice = "Remove the source and record again; the fit leaves lines out." if visible else ""
     return (Finding(level, "tone", text, advice, axis=series.name),)
 
@@ -139,12 +139,12 @@ def _roll_off_finding(band: Band, series: AxisSeries) -> tuple[Finding, ...]:
         return (hump_finding(band.hump, rate_hz=series.rate_hz, axis=series.name, fitted=False),)
     if corner is not None:
         text = (
-            f"The density of {series.name} falls to half near {corner * nyquist:.3g} Hz: a low-pass filter "
+            f"The density of the axis falls to half near {corner * nyquist:.3g} Hz: a low-pass filter "
             f"shapes its output, sampled at {series.rate_hz:.4g} Hz."
         )
     elif not band.flat:
         text = (
-            f"An output filter or a vibration shapes the density of {series.name} near "
+            f"An output filter or a vibration shapes the density of the axis near "
             f"{band.fraction * nyquist:.3g} Hz and above, sampled at {series.rate_hz:.4g} Hz."
         )
     else:
