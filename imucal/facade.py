@@ -15,7 +15,8 @@ from imucal.allan import AllanCurve
 from imucal.arguments import takes
 from imucal.arrays import FloatArray
 from imucal.calibration import Calibration
-from imucal.calibration.document import load_calibration, to_document
+from imucal.calibration.document import CalibrationDocument, load_calibration, to_document
+from imucal.calibration.document import from_document as calibration_of
 from imucal.calibration.exports import export_calibration
 from imucal.calibration.writer import is_calibration
 from imucal.checking import CheckResult, Limits, check_config, parse_limits, read_limits
@@ -33,7 +34,6 @@ from imucal.report.exports import export as export_report
 from imucal.report.exports import refuse_unsound
 from imucal.report.exports.config_numbers import AxisPolicy, Basis, ExportOptions, Unidentified
 from imucal.report.json_file import load
-from imucal.report.json_node import Node, plain
 from imucal.report.result import Report
 from imucal.units import G0
 from imucal.user_input import seconds_of
@@ -269,10 +269,10 @@ def check(
         return replace(result, rows=result.rows + check_config(Path(config), found))
 
 
-def _calibration(report: object) -> Node | None:
+def _calibration(report: object) -> CalibrationDocument | None:
     """Return the document of a calibration; None for a report."""
     if isinstance(report, Calibration):
-        return Node(plain(to_document(report)), "calibration")
+        return calibration_of(to_document(report))
     if isinstance(report, str | Path) and is_calibration(Path(report)):
         return load_calibration(Path(report))
     return None

@@ -16,8 +16,8 @@ from imucal.pipeline import Settings, _workers, characterize, screen
 from imucal.readers import read
 from imucal.recording import Axis, AxisSeries, Recording, Source, Temperature
 from imucal.report.json_file import to_document
-from imucal.report.json_node import dumps
 from imucal.report.result import AxisReport, Report
+from imucal.report.typed_json import dumps
 
 SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
 TRUTH = json.loads((SAMPLE_LOGS / "truth.json").read_text(encoding="utf-8"))

@@ -1,24 +1,31 @@
 """`calibration.json`: the whole result in SI units, and the part that exports read back."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
+from typing import Annotated, TypeAlias
 
 import numpy as np
 
 from imucal.arrays import FloatArray, ReadOnlyArrays
 from imucal.calibration.frames import FRAMES, rotation_to
 from imucal.calibration.parameters import Parameter, inverse, is_si
-from imucal.calibration.result import AccelerometerResult, Calibration, GyroscopeResult
+from imucal.calibration.result import AccelerometerResult, Calibration, CalibrationGrade, GyroscopeResult
 from imucal.errors import Fix, ReadError
-from imucal.frozen import frozen_alone
-from imucal.report.json_node import JsonObject, Node, picked, plain
+from imucal.findings import Finding
+from imucal.frozen import frozen, frozen_alone
+from imucal.recording import Source
+from imucal.report.document import Finite
+from imucal.report.typed_json import JsonObject, Key, Place, from_json, picked, to_json
 
 __all__ = [
     "FILE_NAME",
     "SCHEMA",
+    "CalibrationDocument",
     "Intrinsics",
+    "from_document",
     "load_calibration",
     "load_intrinsics",
     "schema",
@@ -29,6 +36,11 @@ __all__ = [
 SCHEMA = "imucal/calibration/1"
 #: Name of the file.
 FILE_NAME = "calibration.json"
+#: What to do about a wrong file.
+_FIX = "run 'imucal calibrate' again"
+
+Matrix: TypeAlias = Annotated[FloatArray, Key(shape=(3, 3))]
+Vector: TypeAlias = Annotated[FloatArray, Key(shape=(3,))]
 
 
 def to_document(found: Calibration) -> JsonObject:
@@ -44,7 +56,7 @@ def to_document(found: Calibration) -> JsonObject:
         "frame": found.frame,
         "accelerometer": _accelerometer(found.accelerometer),
         "gyroscope": found.gyroscope and _gyroscope(found.gyroscope),
-        "temperature": plain(temperature),
+        "temperature": to_json(temperature),
         "noise": {
             sensor: {"origin": base.origin, "models": [model.text() for model in base.models]}
             for sensor, base in found.noise.items()
@@ -83,6 +95,70 @@ def schema() -> JsonObject:
     return document
 
 
+@frozen
+class GravityEntry:
+    """The length of gravity in m/s²."""
+
+    value: Finite
+
+
+@frozen_alone
+class SensorEntry:
+    """What both sensors have: w = C (raw - b), and the parameters by name."""
+
+    C: Matrix
+    b: Vector
+    parameters: Mapping[str, Parameter]
+
+
+@frozen_alone
+class AccelerometerEntry(SensorEntry):
+    """The accelerometer."""
+
+    diagonal_C: Matrix
+    diagonal_b: Vector
+
+
+@frozen_alone
+class GyroscopeEntry(SensorEntry):
+    """The gyroscope."""
+
+    G: Matrix
+    scaled: bool
+
+
+@frozen_alone
+class RestEntry:
+    """A rest; `residual` is in m/s²."""
+
+    mean_accel: Vector
+    residual: Finite
+    used: bool
+
+
+@frozen_alone
+class TurnEntry:
+    """A turn; `residual_deg` has two or three components, or is None if the turn is not used."""
+
+    residual_deg: FloatArray | None
+    used: bool
+
+
+@frozen_alone
+class CalibrationDocument:
+    """The part of `calibration.json` that other commands read; attributes are keys."""
+
+    verdict: CalibrationGrade
+    source: Source
+    gravity: GravityEntry
+    frame: Annotated[str, Key(choices=tuple(FRAMES))]
+    accelerometer: AccelerometerEntry
+    gyroscope: GyroscopeEntry | None
+    rests: tuple[RestEntry, ...]
+    turns: tuple[TurnEntry, ...]
+    findings: tuple[Finding, ...]
+
+
 @frozen_alone
 class Intrinsics(ReadOnlyArrays):
     """The part of a calibration that other programs need: f = C_a (raw - b_a), w = C_g (raw - b_g - G f).
@@ -112,7 +188,7 @@ class Intrinsics(ReadOnlyArrays):
 
     @classmethod
     def of(cls, found: Calibration) -> "Intrinsics":
-        return _intrinsics(Node(plain(to_document(found)), "calibration"))
+        return _intrinsics(from_document(to_document(found)))
 
     def in_frame(self, frame: str) -> "Intrinsics":
         if frame == self.frame:
@@ -139,49 +215,51 @@ def load_intrinsics(path: Path) -> Intrinsics:
     return _intrinsics(load_calibration(path))
 
 
-def load_calibration(path: Path) -> Node:
+def load_calibration(path: Path) -> CalibrationDocument:
     """Read a ``calibration.json`` or its folder, or raise a ReadError."""
     file = path / FILE_NAME if path.is_dir() else path
     try:
-        root = Node(json.loads(file.read_bytes()), str(file))
+        document = json.loads(file.read_bytes())
     except (OSError, ValueError) as error:
-        problem = f"can't be read ({error})"
-        raise ReadError(problem, place=file, fix=Fix("run 'imucal calibrate' again")) from error
-    root["schema"].text(SCHEMA)
-    return root
+        raise ReadError(f"can't be read ({error})", place=file, fix=Fix(_FIX)) from error
+    return from_document(document, file=str(file))
 
 
-def _intrinsics(root: Node) -> Intrinsics:
-    accel, source = root["accelerometer"], root["source"]
-    sensors = {"accel": accel}
-    C_g = b_g = G = None
-    if (gyro := root["gyroscope"]).value is not None:
+def from_document(document: object, *, file: str = "calibration") -> CalibrationDocument:
+    """Return the entries of a JSON document; raises ReadError, with the name `file`, if one is wrong."""
+    place = Place(file, _FIX)
+    place.check_schema(document, SCHEMA)
+    return from_json(CalibrationDocument, document, place)
+
+
+def _intrinsics(document: CalibrationDocument) -> Intrinsics:
+    accel, gyro = document.accelerometer, document.gyroscope
+    sensors: dict[str, SensorEntry] = {"accel": accel}
+    if gyro is not None:
         sensors["gyro"] = gyro
-        C_g = gyro["C"].matrix(3) if gyro["scaled"].value else None
-        b_g, G = gyro["b"].array(like=3), gyro["G"].matrix(3)
+    units = {parameter.unit for entry in sensors.values() for parameter in entry.parameters.values()}
     weak = [
         f"{sensor} {name.replace('_', ' ')}"
-        for sensor, node in sensors.items()
-        for name in node["parameters"].table()
-        if node["parameters"][name]["status"].text() in ("weak", "not-observable")
+        for sensor, entry in sensors.items()
+        for name, parameter in entry.parameters.items()
+        if parameter.status in {"weak", "not-observable"}
     ]
     return Intrinsics(
-        source=source["path"].text().rstrip("/").rsplit("/", 1)[-1],
-        topics=source["topics"].texts(),
-        kind=source["format"].text(),
-        frame=root["frame"].text(*FRAMES),
-        C_a=accel["C"].matrix(3),
-        b_a=accel["b"].array(like=3),
-        diagonal_C=accel["diagonal_C"].matrix(3),
-        diagonal_b=accel["diagonal_b"].array(like=3),
-        C_g=C_g,
-        b_g=b_g,
-        G=G,
-        gravity=root["gravity"]["value"].number(),
-        means=np.array([rest["mean_accel"].array(like=3) for rest in root["rests"] if rest["used"].value]),
-        said_si=all(node["parameters"]["bias_x"]["unit"].text() != "raw" for node in sensors.values()),
+        source=document.source.name,
+        topics=document.source.topics,
+        kind=document.source.format,
+        frame=document.frame,
+        C_a=accel.C,
+        b_a=accel.b,
+        diagonal_C=accel.diagonal_C,
+        diagonal_b=accel.diagonal_b,
+        C_g=gyro.C if gyro is not None and gyro.scaled else None,
+        b_g=None if gyro is None else gyro.b,
+        G=None if gyro is None else gyro.G,
+        gravity=document.gravity.value,
+        means=np.array([rest.mean_accel for rest in document.rests if rest.used]),
+        # The unit of a bias in raw counts.
+        said_si="raw" not in units,
         weak=tuple(weak),
-        warnings=tuple(
-            dict.fromkeys(f["code"].text() for f in root["findings"] if f["level"].text() != "info")
-        ),
+        warnings=tuple(dict.fromkeys(f.code for f in document.findings if f.level != "info")),
     )

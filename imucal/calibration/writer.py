@@ -6,9 +6,9 @@ from pathlib import Path
 from imucal.calibration.document import FILE_NAME, SCHEMA, to_document
 from imucal.calibration.result import Calibration
 from imucal.report import json_file
-from imucal.report.json_node import dumps
 from imucal.report.out_folder import OutFolder, has_schema
 from imucal.report.result import Report
+from imucal.report.typed_json import dumps
 
 __all__ = ["NOISE_NAME", "PAGE_NAME", "check_folder", "is_calibration", "write_calibration"]
 

@@ -6,24 +6,23 @@ from dataclasses import replace
 from itertools import chain
 
 from imucal._version import __version__
+from imucal.calibration.document import CalibrationDocument, SensorEntry
 from imucal.checking.limits import CALIBRATION_UNITS, Limit, Limits
 from imucal.checking.verdict import CheckResult, Row, are_of_noise, finding_rows, judge
 from imucal.errors import Fix, LimitsError
-from imucal.findings import Finding
 from imucal.grading import BY_LEVEL, GRADE_TEXTS, GRADES, Grade, NoiseVerdict
 from imucal.recording import Sensor
-from imucal.report.json_node import Node
 from imucal.report.numbers import Quantity
 
 __all__ = ["check_calibration"]
 
 
-def check_calibration(found: Node, limits: Limits) -> CheckResult:
+def check_calibration(found: CalibrationDocument, limits: Limits) -> CheckResult:
     """Judge a calibration.json: a row for each limit on a parameter's size, and for each forbidden finding.
 
     Raises LimitsError if all limits are for noise, or one does not fit raw counts.
     """
-    source = found["source"]["path"].text()
+    source = found.source.path
     if are_of_noise(limits) and not limits.calibration:
         advice = (
             'write limits such as [calibration.accelerometer] scale = { max = 2, unit = "%" }, '
@@ -31,10 +30,10 @@ def check_calibration(found: Node, limits: Limits) -> CheckResult:
         )
         problem = "this is a calibration, and the limits are for noise"
         raise LimitsError(problem, place=source, fix=Fix(advice))
-    findings = [_finding(node) for node in found["findings"]]
+    findings = found.findings
     codes = ", ".join(dict.fromkeys(finding.code for finding in findings)) or "no findings"
     grade: Grade = max((BY_LEVEL[finding.level] for finding in findings), key=GRADES.index, default="good")
-    printed = GRADE_TEXTS[found["verdict"].text("good", "check", "not-usable")]
+    printed = GRADE_TEXTS[found.verdict]
     rows = [
         *chain.from_iterable(_calibrated(found, limit) for limit in limits.calibration),
         *finding_rows(findings, limits.findings),
@@ -49,18 +48,13 @@ def check_calibration(found: Node, limits: Limits) -> CheckResult:
     )
 
 
-def _finding(node: Node) -> Finding:
-    level = next(level for level in BY_LEVEL if level == node["level"].text(*BY_LEVEL))
-    return Finding(level, node["code"].text(), node["text"].text(), axis=node["axis"].maybe(Node.text))
-
-
-def _calibrated(found: Node, limit: Limit) -> Iterator[Row]:
+def _calibrated(found: CalibrationDocument, limit: Limit) -> Iterator[Row]:
     sensor = Sensor(limit.where.rpartition(".")[2])
-    where, node = sensor.short, found[sensor.value]
-    if node.value is None:
+    where, entry = sensor.short, _entry(found, sensor)
+    if entry is None:
         yield Row(where, limit.quantity, "fail", f"the calibration has no {sensor}")
         return
-    for name, size in _sizes(found, sensor, limit.quantity):
+    for name, size in _sizes(found, entry, sensor, limit.quantity):
         row = judge(
             where,
             f"|{name}|" if name != "residual" else name,
@@ -75,35 +69,44 @@ def _calibrated(found: Node, limit: Limit) -> Iterator[Row]:
         yield row
 
 
-def _sizes(found: Node, sensor: Sensor, quantity: str) -> Iterator[tuple[str, Quantity | None]]:
+def _entry(found: CalibrationDocument, sensor: Sensor) -> SensorEntry | None:
+    return found.accelerometer if sensor is Sensor.ACCELEROMETER else found.gyroscope
+
+
+def _sizes(
+    found: CalibrationDocument, entry: SensorEntry, sensor: Sensor, quantity: str
+) -> Iterator[tuple[str, Quantity | None]]:
     """Yield the size of each parameter of a kind, or the rms residual; None if it is unknown."""
     if quantity == "residual":
         yield quantity, _residual(found, sensor)
         return
     units = CALIBRATION_UNITS[sensor][quantity]
-    parameters = found[sensor.value]["parameters"]
-    for name in (name for name in parameters.table() if name.startswith(quantity)):
-        one = parameters[name]
-        unit = one["unit"].text()
+    for name, parameter in entry.parameters.items():
+        if not name.startswith(quantity):
+            continue
+        unit = parameter.unit
         if unit not in units:
             msg = (
-                f"{found['source']['path'].text()}: {name} of the {sensor} is in raw counts; calibrate with "
+                f"{found.source.path}: {name} of the {sensor} is in raw counts; calibrate with "
                 "the scale of the sensor, or remove the limit"
             )
             raise LimitsError(msg)
-        if one["value"].value is None:
+        if parameter.value is None or parameter.low is None or parameter.high is None:
             yield name, None
             continue
-        value, low, high = (one[key].number() * units[unit] for key in ("value", "low", "high"))
+        factor = units[unit]
+        value, low, high = parameter.value * factor, parameter.low * factor, parameter.high * factor
         least = 0.0 if low <= 0 <= high else min(abs(low), abs(high))
         yield name, Quantity(value=abs(value), low=least, high=max(abs(low), abs(high)))
 
 
-def _residual(found: Node, sensor: Sensor) -> Quantity | None:
+def _residual(found: CalibrationDocument, sensor: Sensor) -> Quantity | None:
     """Return the rms error of |f| in the rests, or of the direction after the turns."""
     if sensor is Sensor.ACCELEROMETER:
-        sizes = [one["residual"].number() for one in found["rests"] if one["used"].value]
+        sizes = [rest.residual for rest in found.rests if rest.used]
     else:
-        errors_deg = [one["residual_deg"].array() for one in found["turns"] if one["used"].value]
-        sizes = [math.radians(math.hypot(*each)) for each in errors_deg]
+        errors_deg = [
+            turn.residual_deg for turn in found.turns if turn.used and turn.residual_deg is not None
+        ]
+        sizes = [math.radians(math.hypot(*error)) for error in errors_deg]
     return Quantity.exactly(math.hypot(*sizes) / math.sqrt(len(sizes))) if sizes else None

@@ -26,9 +26,9 @@ from imucal.printable import one_line
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.json_file import load
-from imucal.report.json_node import picked
 from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
+from imucal.report.typed_json import picked
 
 Verdict: TypeAlias = Literal["pass", "fail", "undecided"]
 WORST_FIRST: tuple[Verdict, ...] = ("fail", "undecided", "pass")

@@ -44,9 +44,9 @@ def can_print(text: str, encoding: str | None = None) -> bool:
 
 def picked(value: object, names: str) -> dict[str, object]:
     """Return attributes of a value as JSON values."""
-    from imucal.report import json_node
+    from imucal.report import typed_json
 
-    return json_node.picked(value, names)
+    return typed_json.picked(value, names)
 
 
 def print_note(text: object) -> None:

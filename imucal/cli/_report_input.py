@@ -4,6 +4,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -15,8 +16,10 @@ from imucal.errors import Fix, ReadError
 from imucal.recording import Sensor
 from imucal.remote import is_url
 from imucal.remote.addresses import shown
-from imucal.report.json_node import Node
 from imucal.report.result import Report
+
+if TYPE_CHECKING:
+    from imucal.calibration.document import CalibrationDocument
 
 
 def report_request(request: LogRequest, models: dict[Sensor, str]) -> LogRequest:
@@ -95,7 +98,7 @@ def load_report(request: LogRequest) -> Report:
     return read_report(first)
 
 
-def load_calibrated(request: LogRequest) -> Node:
+def load_calibrated(request: LogRequest) -> "CalibrationDocument":
     """Load the document of a calibration; refuse options for reading a log."""
     from imucal.calibration.document import load_calibration
 

@@ -128,7 +128,7 @@ def command(
     from imucal.calibration import calibrate
     from imucal.calibration.document import to_document
     from imucal.calibration.writer import check_folder
-    from imucal.report.json_node import dumps
+    from imucal.report.typed_json import dumps
 
     if turns and no_gyro:
         misuse("turns of a known angle calibrate the gyroscope; omit one of them", "--turns", "--no-gyro")

@@ -97,7 +97,7 @@ def command(
     """
     from imucal.pipeline import Settings, characterize
     from imucal.report.figure_bias import DOCUMENT, SCHEMA, out_folder
-    from imucal.report.json_node import dumps
+    from imucal.report.typed_json import dumps
 
     if every == 0:
         misuse("expected a time above 0, such as 10s", "--every")

@@ -108,7 +108,7 @@ def command(
     from imucal.cli._result_table import summary_table
     from imucal.pipeline import Settings
     from imucal.report.json_file import to_document
-    from imucal.report.json_node import dumps
+    from imucal.report.typed_json import dumps
     from imucal.report.writer import check_folder, write_report
 
     try:

@@ -20,8 +20,8 @@ from imucal.fleet_report.pictures import drawn_as, fleet_pictures
 from imucal.fleet_report.summary import Fleet, FleetTerm
 from imucal.printable import printable
 from imucal.processes import try_side_work
-from imucal.report.json_node import JsonObject, picked, plain
 from imucal.report.out_folder import OutFolder
+from imucal.report.typed_json import JsonObject, picked, to_json
 
 SCHEMA = "imucal/fleet/1"
 
@@ -52,7 +52,7 @@ def fleet_document(fleet: Fleet) -> JsonObject:
                 "name": model.name,
                 "units": list(model.units),
                 "logs": sum(not log.left_out for log in model.logs),
-                "rate_hz": plain(model.rate_hz),
+                "rate_hz": to_json(model.rate_hz),
                 "terms": [_term(term, sure) for term in model.terms],
             }
             for model in fleet.models

@@ -31,8 +31,8 @@ from imucal.report.figure_style import (
     write_foot,
     write_head,
 )
-from imucal.report.json_node import JsonObject, picked
 from imucal.report.out_folder import FilesOfFolder, OutFolder
+from imucal.report.typed_json import JsonObject, picked
 from imucal.units import pretty, time_unit
 
 if TYPE_CHECKING:

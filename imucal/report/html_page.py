@@ -24,10 +24,10 @@ from imucal.report.figure_curves import (
     smooth_spectrum,
 )
 from imucal.report.figure_style import DATA, LEFT_OUT, MODEL, UNUSED
-from imucal.report.json_node import JsonObject, plain
 from imucal.report.markup import Markup, render
 from imucal.report.numbers import SheetUnits
 from imucal.report.result import AxisReport, Overview, Report
+from imucal.report.typed_json import JsonObject, to_json
 from imucal.units import duration, pretty
 
 #: Points of a smooth line.
@@ -162,9 +162,9 @@ def _psd(axis: AxisReport) -> JsonObject:
     model, response = np.sqrt(fit.model.psd(smooth.frequency, rate_hz=fit.rate_hz)), fit.response
     return {
         **_rounded(4, f=smooth.frequency, root=smooth.root, low=smooth.low, high=smooth.high, model=model),
-        "band": plain(fit.goodness.band_hz),
-        "lines": [[line.frequency_hz, plain(line.amplitude)] for line in fit.goodness.lines],
-        "filter": response and [response.kind, plain(response.cutoff_hz)],
+        "band": to_json(fit.goodness.band_hz),
+        "lines": [[line.frequency_hz, to_json(line.amplitude)] for line in fit.goodness.lines],
+        "filter": response and [response.kind, to_json(response.cutoff_hz)],
     }
 
 

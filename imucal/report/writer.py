@@ -9,10 +9,11 @@ from imucal.arguments import takes
 from imucal.findings import Finding
 from imucal.processes import try_side_work
 from imucal.recording import Sensor
-from imucal.report.json_file import SCHEMA, SIGNAL_FILE, axis_document, signal_document, to_document
-from imucal.report.json_node import dumps
+from imucal.report.document import SCHEMA
+from imucal.report.json_file import SIGNAL_FILE, axis_document, signal_document, to_document
 from imucal.report.out_folder import OutFolder
 from imucal.report.result import Report
+from imucal.report.typed_json import dumps
 
 if TYPE_CHECKING:
     from imucal.report.figure import Drawings

@@ -58,7 +58,7 @@ STAGES = {
     "segments": ("imucal/fitting/spectral/disturbances/segments.py", "fit_segments"),
     "second opinion": ("imucal/fitting/cross_checks.py", "fit_of_curve"),
     "record length": ("imucal/planning.py", "resolution_findings"),
-    "document and JSON": ("imucal/report/json_node.py", "dumps"),
+    "document and JSON": ("imucal/report/typed_json.py", "dumps"),
     "pictures and page": ("imucal/report/writer.py", "write_report"),
     "of these: transforms": ("imucal/allan/dct.py", "dct_ordinates"),
     "of these: blind starts": ("imucal/fitting/spectral/maximum.py", "find_starts"),

@@ -11,7 +11,7 @@ from imucal.calibration.parameters import inverse
 from imucal.errors import ArgumentError
 from imucal.noise import NoiseModel
 from imucal.recording import AXES, Sensor
-from imucal.report.json_node import plain
+from imucal.report.typed_json import to_json
 from tests.calibration.simulated import (
     FACES,
     GRAVITY,
@@ -89,9 +89,9 @@ def test_every_frame_is_the_same_imu() -> None:
     first = results["kalibr"]
     assert first.gyroscope is not None
     for frame, found in results.items():
-        document = plain(to_document(found))
+        document = to_json(to_document(found))
         jsonschema.validate(document, schema())
-        assert document["frame"] == found.frame == frame  # type: ignore[index]
+        assert document["frame"] == found.frame == frame
         R = rotation_to(frame, first.accelerometer.C)
         assert (frame == "kalibr") == (np.abs(R - np.eye(3)).max() < 1e-12)
         np.testing.assert_allclose(found.accelerometer.C, R @ first.accelerometer.C, atol=1e-12)

@@ -8,11 +8,10 @@ import pytest
 
 import imucal
 from imucal.calibration import Calibration
-from imucal.calibration.document import to_document
+from imucal.calibration.document import from_document, to_document
 from imucal.checking import CheckResult, parse_limits
 from imucal.checking.calibrated import check_calibration
 from imucal.errors import LimitsError
-from imucal.report.json_node import Node, plain
 from tests.cli.run import SAMPLE_LOGS, run
 from tests.report.synthetic import consumer_report
 
@@ -30,12 +29,12 @@ def found() -> Calibration:
 @pytest.fixture
 def document(found: Calibration) -> Document:
     """Return its JSON document, which tests can modify."""
-    copy: Document = json.loads(json.dumps(plain(to_document(found))))
+    copy: Document = json.loads(json.dumps(to_document(found)))
     return copy
 
 
 def judged(document: Document, limits: str) -> CheckResult:
-    return check_calibration(Node(document, "calibration.json"), parse_limits(limits))
+    return check_calibration(from_document(document, file="calibration.json"), parse_limits(limits))
 
 
 @pytest.mark.parametrize(

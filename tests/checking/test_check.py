@@ -14,9 +14,9 @@ from imucal.errors import LimitsError, ReadError
 from imucal.findings import Finding
 from imucal.recording import Sensor
 from imucal.report.json_file import to_document
-from imucal.report.json_node import dumps
 from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
+from imucal.report.typed_json import dumps
 from tests.report.synthetic import axis_report, consumer_report, small_report
 
 

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from imucal.report.json_file import to_document
-from imucal.report.json_node import dumps
 from imucal.report.result import Report
+from imucal.report.typed_json import dumps
 from tests.report.synthetic import consumer_report
 
 __all__ = ["write_report"]

@@ -87,7 +87,7 @@ def test_standard_input_has_size_and_checksum(packed: str, tmp_path: Path) -> No
     jsonschema.validate(document, schema())
     expected = hashlib.blake2b(data).hexdigest()
     assert document["source"]["files"] == [
-        {"path": "standard input", "size_bytes": len(data), "blake2b": expected}
+        {"path": "standard input", "size_bytes": len(data), "blake2b": expected, "etag": None}
     ]
 
 
@@ -99,9 +99,9 @@ def test_a_report_lists_the_files_read(tmp_path: Path) -> None:
     document = json.loads(done.stdout)
     jsonschema.validate(document, schema())
     assert document["source"]["files"] == [
-        {"path": "log.mcap", "size_bytes": path.stat().st_size, "blake2b": b2sum(path)}
+        {"path": "log.mcap", "size_bytes": path.stat().st_size, "blake2b": b2sum(path), "etag": None}
     ]
-    assert document["source"]["range"] == {
+    assert document["source"]["read"] == {
         "from_s": 5.0, "duration_s": 20.0, "start_ns": START + 5 * 10**9, "end_ns": START + 25 * 10**9,
     }  # fmt: skip
     (tmp_path / "report.json").write_text(done.stdout, encoding="utf-8")

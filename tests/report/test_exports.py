@@ -25,8 +25,8 @@ from imucal.report.exports import TARGETS, export, find_target, render
 from imucal.report.exports.config_numbers import AxisPolicy, ExportOptions, Numbers, flicker_bank
 from imucal.report.exports.target import comment, decimal, quoted, real
 from imucal.report.json_file import from_document, to_document
-from imucal.report.json_node import dumps
 from imucal.report.result import AxisReport, Report
+from imucal.report.typed_json import dumps
 from tests.report.downstream import READERS, Recovered, opencv
 from tests.report.synthetic import axis_report, small_report
 from tests.report.synthetic import consumer_report as make_consumer_report

@@ -17,8 +17,10 @@ from imucal.errors import Fix, ReadError
 from imucal.findings import Finding
 from imucal.recording import LogFileInfo, Source
 from imucal.report.json_file import axis_document, from_document, load, schema, signal_document, to_document
-from imucal.report.json_node import dumps, plain
 from imucal.report.result import Report
+from imucal.report.typed_json import dumps, to_json
+from tests.benchmarks.report_schema import report_schema
+from tests.report.random_reports import random_report
 from tests.report.synthetic import consumer_report, shortest_report, small_report
 
 _GOLDEN = Path(__file__).parent / "golden" / "report.json"
@@ -50,6 +52,11 @@ def test_the_schema_refuses_wrong_documents(place: tuple[Any, ...], value: objec
     _set(document, place, value)
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.Draft202012Validator(schema()).validate(document)
+
+
+def test_the_schema_file_is_current() -> None:
+    """Run `python -m tests.benchmarks.report_schema` after a change of the dataclasses."""
+    assert schema() == report_schema()
 
 
 def _strict(part: object) -> Any:  # noqa: ANN401 - JSON
@@ -151,6 +158,33 @@ def test_a_report_is_read_back_exactly(make: Callable[[], Report]) -> None:
     assert dict(again.settings) == dict(report.settings)
 
 
+@pytest.mark.parametrize("seed", range(10))
+def test_random_reports_are_valid_and_read_back(seed: int) -> None:
+    """Terms are estimated, bounded or absent; limits may be infinite."""
+    report = random_report(np.random.default_rng(seed))
+    text = dumps(to_document(report))
+    jsonschema.validate(json.loads(text), schema())
+    again = from_document(json.loads(text))
+    assert dumps(to_document(again)) == text
+    for axis, original in zip(again.axes, report.axes, strict=True):
+        assert axis.fit.estimates == original.fit.estimates
+        assert axis.fit.model == original.fit.model
+
+
+def test_segments_are_read_back() -> None:
+    """A term's homogeneity, the trace of white noise, and the range of the log are equal."""
+    report = _fitted_report()
+    again = from_document(json.loads(dumps(to_document(report))))
+    segments, original = again.axes[0].fit.segments, report.axes[0].fit.segments
+    assert segments is not None
+    assert original is not None
+    assert segments.terms == original.terms
+    assert segments.white is not None
+    assert original.white is not None
+    npt.assert_array_equal(segments.white.high, original.white.high)
+    assert again.source == report.source
+
+
 def test_alternatives_of_a_term_are_read_back() -> None:
     """Alternatives are other terms, the horizon, and the widening of the interval. Older files have none."""
     report = small_report()
@@ -244,46 +278,37 @@ def test_load_accepts_the_file_or_its_folder(tmp_path: Path) -> None:
         (
             ("axes", 2, "fit", "method"),
             7,
-            "r.json: axes[2].fit.method: found 7, expected a text; write the report again",
+            "r.json: axes[2].fit.method: found 7, expected a text",
         ),
         (
             ("axes", 0, "fit", "terms", "N", "value"),
             "big",
-            'r.json: axes[0].fit.terms.N.value: found "big", expected a number; write the report again',
+            'r.json: axes[0].fit.terms.N.value: found "big", expected a number',
         ),
         (
             ("axes", 0, "fit", "terms", "N", "value"),
             None,
-            (
-                "r.json: axes[0].fit.terms.N.value: found null, expected a value that fits 'estimated'; "
-                "write the report again"
-            ),
+            ("r.json: axes[0].fit.terms.N.value: found null, expected a value that fits 'estimated'"),
         ),
         (
             ("axes", 1, "sensor"),
             "compass",
-            (
-                'r.json: axes[1].sensor: found "compass", expected "gyroscope" or "accelerometer"; '
-                "write the report again"
-            ),
+            ('r.json: axes[1].sensor: found "compass", expected "gyroscope" or "accelerometer"'),
         ),
         (
             ("axes", 0, "curve", "adev"),
             [1.0],
-            (
-                "r.json: axes[0].curve.adev: found a list of 1, expected 21 items, like the other lists; "
-                "write the report again"
-            ),
+            "r.json: axes[0].curve.adev: found a list of 1, expected 21 items, like the other lists",
         ),
         (
             ("axes", 0, "curve", "used"),
             [99],
-            "r.json: axes[0].curve.used: found the index 99, expected less than 21; write the report again",
+            "r.json: axes[0].curve.used: found the index 99, expected less than 21",
         ),
         (
             ("axes", 0, "rate_hz"),
             0,
-            "r.json: axes[0].rate_hz: found 0, expected a number above 0; write the report again",
+            "r.json: axes[0].rate_hz: found 0, expected a number above 0",
         ),
         (
             ("axes", 0, "fit", "expression"),
@@ -291,13 +316,13 @@ def test_load_accepts_the_file_or_its_folder(tmp_path: Path) -> None:
             (
                 "r.json: axes[0].fit.expression: found a model that can't be read ('x' is not a number; "
                 "write a sum such as 'N=1e-3 + B=2e-5 + K=3e-6 + GM(sigma=1e-4, T=50)'), expected a sum of "
-                "terms with values; write the report again"
+                "terms with values"
             ),
         ),
         (
             ("schema",),
-            "imucal/report/9",
-            'r.json: the schema is "imucal/report/9", expected "imucal/report/2"; write the report again',
+            "imucal/report/2",
+            'r.json: the schema is "imucal/report/2", expected "imucal/report/3"',
         ),
     ],
 )
@@ -309,7 +334,7 @@ def test_errors_contain_place_finding_and_expectation(
     _set(document, place, value)
     with pytest.raises(ReadError) as caught:
         from_document(document, file="r.json")
-    assert str(caught.value) == message
+    assert str(caught.value) == f"{message}; run 'imucal fit' again"
 
 
 def test_a_missing_key_is_reported() -> None:
@@ -321,7 +346,7 @@ def test_a_missing_key_is_reported() -> None:
         from_document(document, file="r.json")
     assert str(caught.value) == (
         "r.json: axes[0].gaps[0]: found start_s, missing, expected the key 'duration_s'; "
-        "write the report again"
+        "run 'imucal fit' again"
     )
 
 
@@ -333,7 +358,7 @@ def test_a_missing_key_is_reported() -> None:
         (b"[1]", "found [1], expected an object"),
         (b'{"schema": NaN}', "not JSON (it contains NaN), expected the report.json"),
         (b"\xff\xfe\xfa", "not JSON"),
-        (b"{}", 'the schema is null, expected "imucal/report/2"'),
+        (b"{}", 'the schema is null, expected "imucal/report/3"'),
     ],
 )
 def test_load_refuses_other_files(tmp_path: Path, content: bytes | None, message: str) -> None:
@@ -358,14 +383,14 @@ def test_every_truncation_is_refused_with_a_message(tmp_path: Path) -> None:
 
 def test_settings_can_contain_numpy_values_and_paths() -> None:
     """Arrays, scalars, tuples and paths become plain JSON; other objects are an error of the caller."""
-    assert plain({"a": np.float64(1.5), "b": (1, 2), "p": Path("x/y"), "n": np.array([1.0, np.nan])}) == {
+    assert to_json({"a": np.float64(1.5), "b": (1, 2), "p": Path("x/y"), "n": np.array([1.0, np.nan])}) == {
         "a": 1.5,
         "b": [1, 2],
         "p": "x/y",
         "n": [1.0, None],
     }
     with pytest.raises(TypeError, match="can't be written to a report"):
-        plain(object())
+        to_json(object())
 
 
 def _set(
@@ -398,8 +423,8 @@ def _numbers(value: object) -> list[float]:
 @pytest.mark.parametrize(
     ("place", "value", "message"),
     [
-        ("fit.level", 1, "found 1.0, expected a number between 0 and 1"),
-        ("fit.level", 0, "found 0.0, expected a number between 0 and 1"),
+        ("fit.level", 1, "found 1, expected a number between 0 and 1"),
+        ("fit.level", 0, "found 0, expected a number between 0 and 1"),
         ("samples", -1, "found -1, expected a whole number from 0"),
         ("samples", True, "found true, expected a whole number from 0"),
         ("samples", 2.0, "found 2.0, expected a whole number from 0"),
@@ -409,13 +434,13 @@ def _numbers(value: object) -> list[float]:
         ("gaps", {}, "found {}, expected a list"),
         ("fit", "a" * 38, f'found "{"a" * 38}", expected an object'),
         ("fit", "a" * 39, f'found "{"a" * 39}…, expected an object'),
-        ("fit", {}, "found no keys, expected the key 'parameters'"),
+        ("fit", {}, "found no keys, expected the key 'method'"),
         ("curve.used", [0, 10], "found the index 10, expected less than 10"),
         ("curve.m", [1, 2], "found a list of 2, expected 10 items, like the other lists"),
-        ("curve.tau_s", [1.0, 1.0], "found averaging times that do not increase, expected increasing ones"),
-        ("fit.goodness.band_hz", [1, 2, 3], "found [1, 2, 3], expected a list of two numbers"),
-        ("fit.covariance", [], "found [], expected 1 rows"),
-        ("fit.terms.N.status", "bounded", "a value that fits 'bounded'"),
+        ("curve.tau_s", [1.0] * 10, "found averaging times that do not increase, expected increasing ones"),
+        ("fit.goodness.band_hz", [1, 2, 3], "found [1, 2, 3], expected a list of 2"),
+        ("fit.covariance", [], "found a list of 0, expected 1 items, like the other lists"),
+        ("fit.terms.N.status", "bounded", "found 0.001, expected a value that fits 'bounded'"),
         ("axis", "w", 'found "w", expected "x" or "y" or "z"'),
         (
             "fit.goodness.lines",
@@ -430,8 +455,54 @@ def test_every_value_is_validated(place: str, value: object, message: str) -> No
     _set(document, ("axes", 0, *place.split(".")), value)
     with pytest.raises(ReadError) as caught:
         from_document(document)
-    assert f"{message}; write the report again" in str(caught.value)
+    assert str(caught.value).endswith(f"{message}; run 'imucal fit' again")
     assert str(caught.value).startswith(f"report: axes[0].{place.partition('.')[0]}")
+
+
+#: Values that damage or another program could put into a file.
+_WRONG: tuple[Any, ...] = (None, True, 10**400, "x", [[]], {})
+
+
+def _places(value: object, place: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Return the path of each value; of a list, only of its first item."""
+    found = [place]
+    if isinstance(value, dict):
+        for key, item in value.items():
+            found += _places(item, (*place, key))
+    if isinstance(value, list) and value:
+        found += _places(value[0], (*place, 0))
+    return found
+
+
+def _shown(place: tuple[Any, ...]) -> str:
+    """Return a path as in messages."""
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place)
+    return text.removeprefix(".")
+
+
+def test_each_damaged_value_is_refused_at_its_place() -> None:
+    """The error is a ReadError with the place of the value, of a list of the same length, or of an item."""
+    report = _fitted_report()
+    document: Any = json.loads(dumps(to_document(replace(report, findings=_report_with_fix().findings))))
+    # Settings can be any JSON.
+    places = [place for place in _places(document)[1:] if "settings" not in place[:-1]]
+    refused: dict[tuple[Any, ...], list[str]] = {}
+    for place in places:
+        original = document
+        for part in place:
+            original = original[part]
+        for value in _WRONG:
+            _set(document, place, value)
+            try:
+                from_document(document, file="r.json")
+            except ReadError as error:
+                refused.setdefault(place, []).append(error.place)
+        _set(document, place, original)
+    for place, found in refused.items():
+        parent = _shown(place[:-1])
+        assert all(one.startswith(f"r.json: {parent}" if parent else "r.json") for one in found), place
+    accepted = {_shown(place) for place in places if place not in refused}
+    assert accepted == set()
 
 
 def test_findings_are_validated() -> None:

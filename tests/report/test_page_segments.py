@@ -15,9 +15,9 @@ from imucal.fitting.homogeneity import homogeneity, widened
 from imucal.fitting.noise_fit import Segments, Trace
 from imucal.report.html_page import render_page
 from imucal.report.json_file import from_document, schema, to_document
-from imucal.report.json_node import dumps
 from imucal.report.page_parts import segments_figure
 from imucal.report.result import AxisReport, Report
+from imucal.report.typed_json import dumps
 from tests.report.pages import small_page
 from tests.report.synthetic import consumer_report, small_report
 
