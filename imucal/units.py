@@ -240,7 +240,7 @@ DATASHEET_UNITS: dict[str, float] = {
 def duration(seconds: float, *, rough: bool = False) -> str:
     """Return a length of time as text: ``7.5 s``, ``12 min``, ``3 h 2 min``, ``2 d 5 h``.
 
-    A `rough` one, such as a prediction, has two digits: ``12 min``, ``3 h 2 min``, ``26 h``.
+    A `rough` one, such as a prediction, has about two digits: ``12 min``, ``3 h 5 min``, ``26 h``.
     """
     in_seconds = f"{seconds:.2g}" if rough else f"{seconds:.3g}"
     if float(in_seconds) < 60:
@@ -248,9 +248,11 @@ def duration(seconds: float, *, rough: bool = False) -> str:
     small, size, count, large = "h", _HOUR, 24, "d"
     if seconds < 48 * _HOUR - 30:
         small, size, count, large = ("s", 1, 60, "min") if seconds < _HOUR - 0.5 else ("min", 60, 60, "h")
-    whole, rest = divmod(round(seconds / size), count)
-    if rough and whole >= 10:
+    if rough and seconds >= 9.5 * size * count:
         return f"{seconds / (size * count):.0f} {large}"
+    # A rough smaller unit is a multiple of 5 s, 5 min or 2 h.
+    step = count // 12 if rough else 1
+    whole, rest = divmod(step * round(seconds / size / step), count)
     return f"{whole} {large} {rest} {small}" if rest else f"{whole} {large}"
 
 

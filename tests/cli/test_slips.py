@@ -61,4 +61,4 @@ def test_a_slip_is_answered(typed: str, code: str, said: str, folder: Path) -> N
     assert "Traceback" not in done.stderr
     assert sorted(folder.rglob("*")) == before
     if "-q" in typed.split():
-        assert done.stderr.count("\n") == 1
+        assert done.stderr.count("Error: ") == 1

@@ -206,14 +206,17 @@ def test_durations_have_readable_units(seconds: float, text: str) -> None:
         (0.712, "0.71 s"),
         (59.6, "1 min"),
         (740.4, "12 min"),
-        (6.2 * 3600, "6 h 12 min"),
+        (6.2 * 3600, "6 h 10 min"),
+        (281, "4 min 40 s"),
+        (9.4 * 60, "9 min 25 s"),
+        (9.6 * 3600, "10 h"),
         (30.6 * 3600, "31 h"),
         (4.01 * 86400, "4 d"),
         (400.4 * 86400, "400 d"),
     ],
 )
 def test_rough_durations_have_two_digits(seconds: float, text: str) -> None:
-    """The smaller unit is omitted from ten of the larger one."""
+    """From ten of the larger unit, the smaller one is omitted; otherwise it is a multiple of 5 s, 5 min or 2 h."""
     assert duration(seconds, rough=True) == text
 
 
