@@ -216,7 +216,7 @@ def test_durations_have_readable_units(seconds: float, text: str) -> None:
     ],
 )
 def test_rough_durations_have_two_digits(seconds: float, text: str) -> None:
-    """From ten of the larger unit, the smaller one is omitted; otherwise it is a multiple of 5 s, 5 min or 2 h."""
+    """The smaller unit is omitted from ten of the larger one; it is a multiple of 5 s, 5 min or 2 h."""
     assert duration(seconds, rough=True) == text
 
 
