@@ -184,9 +184,10 @@ def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
     """Return the problems of a recording, worst first; empty for a good one.
 
     Codes: ``absurd-rate``, ``fast-rate``, ``no-data``, ``not-finite``, ``stuck``, ``saturated``,
-    ``held-samples``, ``coarse-lsb``, ``swapped-sensors``, ``duplicate-axes``, ``unit-suspect``,
-    ``no-gravity``, ``motion``, ``touch``, and for an IMU at rest ``step``, ``cycle``, ``warm-up``,
-    ``temperature``, ``tone``, ``roll-off``, which a fit by maximum likelihood removes and reports itself.
+    ``held-samples``, ``coarse-lsb``, ``swapped-sensors``, ``duplicate-axes``, ``interleaved-sensors``,
+    ``unit-suspect``, ``no-gravity``, ``motion``, ``touch``, and for an IMU at rest ``step``, ``cycle``,
+    ``warm-up``, ``temperature``, ``tone``, ``roll-off``, which a fit by maximum likelihood removes and
+    reports itself.
     Findings of the reader are not repeated. Up to `workers` axes are screened at a time; the findings do not
     depend on it.
     """

@@ -8,6 +8,7 @@ from imucal.arrays import release
 from imucal.findings import Finding
 from imucal.processes import findings_or_why_not, side_by_side, try_side_work
 from imucal.recording import AxisSeries, Recording
+from imucal.screening.interleaved import check_interleaved
 from imucal.screening.motion import check_motion, check_shaken, check_tremor, check_turned
 from imucal.screening.values import (
     check_accelerometer_unit,
@@ -39,6 +40,7 @@ _LOG_CHECKS: tuple[LogCheck, ...] = (
     check_duplicates,
     check_accelerometer_unit,
     check_filled,
+    check_interleaved,
 )
 #: Checks that the IMU was at rest, up to the first that finds motion.
 _REST_CHECKS: tuple[LogCheck, ...] = (check_tremor, check_shaken, check_turned, check_motion)

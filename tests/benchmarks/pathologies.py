@@ -45,6 +45,8 @@ class Record:
     method: str = "mle"
     #: Samples of two more axes, if the finding is about a sensor.
     others: tuple[Samples, ...] = ()
+    #: Whether the finding is one of the screening, which a fit of one axis omits.
+    screened: bool = False
 
 
 @dataclass(kw_only=True)
@@ -358,6 +360,12 @@ stamped(
     rate_hz=100.0,
 )
 
+CASES["u two sensors in turn, the second with twice the noise"] = lambda rng: Record(
+    samples=np.stack([noise(rng, 100.0, 60_000), 2 * noise(rng, 100.0, 60_000)], axis=1).ravel(),
+    rate_hz=200.0,
+    screened=True,
+)
+
 #: Introduction of the table.
 _ABOUT = """`tests/benchmarks/pathologies.py` wrote this table.
 "NB" has N and B, "white" has N only. A record is silently wrong if
@@ -387,9 +395,9 @@ def run(draw: Case, rng: np.random.Generator, tally: Tally) -> None:
                 sensor=series.sensor, axis=series.axis, samples=samples, clock=read.clock
             )
             findings = read.findings
-        if record.others:
+        if record.others or record.screened:
             axes: tuple[Axis, ...] = ("y", "z")
-            pairs = zip(axes, record.others, strict=True)
+            pairs = zip(axes, record.others, strict=False)
             others = [imucal.AxisSeries.from_samples(x, rate_hz=record.rate_hz, axis=a) for a, x in pairs]
             source = Source(path="drawn", format="csv")
             findings = screen_values(imucal.Recording(source=source, series=(series, *others)))

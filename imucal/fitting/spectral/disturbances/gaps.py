@@ -88,7 +88,9 @@ def complete(
         samples[gaps] -= _conjugate(apply, right, unit)
         error = _conjugate(apply, drawn, unit)
         # Its expectation is the number of missing samples; a draw's deviation would shift the level.
-        error *= np.sqrt(gaps.size / (drawn @ error))
+        drawn_size = float(drawn @ error)
+        # It is zero if one draw of a few samples is within the solver's tolerance.
+        error *= np.sqrt(gaps.size / drawn_size) if drawn_size > 0 else 1.0
         variance = _smooth(_means(dct2(_padded(error, gaps, n))[1:], groups), groups, count)
         mean_of = dct2(samples)
     # Smooth: if a group's own power set its weight, the level would be too high.
