@@ -1,4 +1,4 @@
-"""Spikes and rounding, which make the noise of a log look larger than the sensor's.
+"""Spikes, torn reads and rounding, which make the noise of a log look larger than the sensor's.
 
 Spikes are found by their distance from a baseline, which follows the slow parts, and are replaced by baseline
 plus noise, because a spike distorts an Allan variance at every averaging time.
@@ -37,13 +37,43 @@ _MANY = 0.01
 _UNCERTAIN = 2.0
 #: Share of N² above which rounding is reported.
 _NOTABLE = 0.02
+#: Steps per high byte.
+_BYTE = 256
+#: Fewest samples of a search for torn reads; 0.1 % of them is then one sample.
+_MIN_TORN_SAMPLES = 1000
+#: Noise in steps below which torn reads are spikes.
+_LEAST_TORN_NOISE = 5.0
+#: Noise in steps above which torn reads are within the noise.
+_MOST_TORN_NOISE = 200.0
+#: Largest distance from the grid of steps, in steps: with an offset the high bytes are unknown.
+_ON_GRID = 0.1
+#: Largest log odds of one sample, so that one spike alone is no torn read.
+_MOST_LOG_ODDS = 9.0
+#: Shares of torn reads that are tried.
+_TORN_SHARES = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2)
+#: Least share of steps between samples that change the high byte: with fewer, a few outliers would decide.
+_PASSING = 0.05
+#: Distance of the other places where high bytes might begin, in steps.
+_TORN_SHIFT = 32
+#: Least gain of the log likelihood: chance exceeds it in 1e-5 of all normal records.
+_TORN_GAIN = 12.0
+#: Least ratio of that gain to the gain of the nearest two places.
+_NEAREST = 1.2
+#: Least ratio of that gain to the gain of all other places: with heavy tails it is up to 3.
+_OTHERS = 4.0
 
 
 def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
     """Return the series with its spikes replaced, and findings about them and about heavy tails.
 
-    Without spikes the same object is returned.
+    Torn reads are corrected before. Without spikes and torn reads the same object is returned.
     """
+    series, torn = without_torn_reads(series)
+    series, findings = _without_spikes(series)
+    return series, torn + findings
+
+
+def _without_spikes(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
     spike, baseline, deviation = find_spikes(series.samples)
     count = int(spike.sum())
     if not count:
@@ -73,6 +103,65 @@ def clean(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
         )
     found = Finding(level, "spikes", text, advice, axis=series.name)
     return replace(series, samples=samples), (found, *_tail_finding(series, rest))
+
+
+def without_torn_reads(series: AxisSeries) -> tuple[AxisSeries, tuple[Finding, ...]]:
+    """Return the series with torn 16-bit reads corrected, and a finding if there are any.
+
+    A torn read has the high byte of the sample before or after it. It is wrong by 256 steps if the value
+    passed a multiple of 256 steps in between. For normal noise of density p the low byte l has the density
+    sum over j of p(l + 256 j). A mixture of both is compared with that of high bytes that begin elsewhere,
+    because heavy tails make all of them likely.
+    """
+    samples = series.samples
+    step = step_size(samples)
+    if step is None or samples.size < _MIN_TORN_SAMPLES:
+        return series, ()
+    counts = np.rint(samples / step)
+    distance = counts - _baseline(counts)
+    deviation = _DEVIATION * float(np.median(np.abs(distance)))
+    on_grid = float(np.abs(samples / step - counts).max()) < _ON_GRID
+    passing = 1 - float(np.mean(_same_high_byte(counts, shift=0, side=1)))
+    if not (on_grid and passing > _PASSING and _LEAST_TORN_NOISE < deviation < _MOST_TORN_NOISE):
+        return series, ()
+    chances = np.exp(
+        [
+            np.clip(-jump * (distance + jump / 2) / deviation**2, -700, _MOST_LOG_ODDS)
+            for jump in (-_BYTE, _BYTE)
+        ]
+    )
+    ratio = 1 + chances.sum(axis=0)
+    shifts = range(0, _BYTE, _TORN_SHIFT)
+    gains = {
+        side: [_torn_gain(counts, ratio, shift=shift, side=side) for shift in shifts] for side in (-1, 1)
+    }
+    side = max(gains, key=lambda side: gains[side][0])
+    (gain, share), *elsewhere = gains[side]
+    nearest = max(elsewhere[0][0], elsewhere[-1][0])
+    others = max(other for other, _ in elsewhere[1:-1])
+    if gain < max(_TORN_GAIN, _NEAREST * nearest, _OTHERS * others):
+        return series, ()
+    wrong = share * chances * _same_high_byte(counts, shift=0, side=side) > 1
+    corrected = samples + step * _BYTE * (wrong[1].astype(np.float64) - wrong[0])
+    text = (
+        f"About {100 * share:.1g} % of the reads are torn: their high byte is that of the sample "
+        f"{'after' if side < 0 else 'before'}, which is wrong by 256 steps. {int(wrong.sum())} samples were "
+        "corrected; others can't be told from noise, and N may be too large by a percent."
+    )
+    advice = "Read both bytes of a sample at once (burst read, or block data update of the sensor)."
+    finding = Finding("warning", "torn-reads", text, advice, axis=series.name)
+    return replace(series, samples=corrected), (finding,)
+
+
+def _same_high_byte(counts: FloatArray, *, shift: int, side: int) -> BoolArray:
+    high = np.floor((counts + shift) / _BYTE)
+    return np.asarray(high == np.roll(high, side))
+
+
+def _torn_gain(counts: FloatArray, ratio: FloatArray, *, shift: int, side: int) -> tuple[float, float]:
+    """Return the largest gain of the log likelihood by torn reads, and their share."""
+    excess = np.where(_same_high_byte(counts, shift=shift, side=side), ratio, 0.0) - 1
+    return max((float(np.log1p(share * excess).sum()), share) for share in _TORN_SHARES)
 
 
 def find_spikes(samples: FloatArray) -> tuple[BoolArray, FloatArray, float]:

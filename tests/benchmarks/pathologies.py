@@ -366,6 +366,17 @@ CASES["u two sensors in turn, the second with twice the noise"] = lambda rng: Re
     screened=True,
 )
 
+
+def torn(x: Samples, rng: np.random.Generator) -> Samples:
+    """Return samples in steps of a 60th of the noise; 0.3 % have the high byte of the sample before."""
+    step = N * 10 / 60
+    counts = np.round(x / step).astype(int)
+    high = np.roll(counts, 1) >> 8
+    return np.asarray(np.where(rng.random(x.size) < 0.003, 256 * high + (counts & 255), counts) * step)
+
+
+changed("v torn 16-bit reads, 0.3 %", torn)
+
 #: Introduction of the table.
 _ABOUT = """`tests/benchmarks/pathologies.py` wrote this table.
 "NB" has N and B, "white" has N only. A record is silently wrong if

@@ -11,7 +11,15 @@ from scipy.special import ndtri
 
 from imucal.arrays import FloatArray
 from imucal.fitting import fit
-from imucal.fitting.robust import _baseline, _medians, clean, find_spikes, resolution_effect, step_size
+from imucal.fitting.robust import (
+    _baseline,
+    _medians,
+    clean,
+    find_spikes,
+    resolution_effect,
+    step_size,
+    without_torn_reads,
+)
 from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries
 
@@ -295,3 +303,57 @@ def test_tails_with_infinite_kurtosis_raise_a_warning(freedom: float, *, warned:
     samples = np.random.default_rng(3_910).standard_t(freedom, 50_000)
     codes = [f.code for f in fit(_series(samples)).findings if f.level == "warning"]
     assert codes == (["heavy-tails"] if warned else [])
+
+
+def torn(counts: FloatArray, share: float, rng: np.random.Generator, *, side: int = 1) -> FloatArray:
+    """Return counts of which a share has the high byte of the sample before (side 1) or after (-1)."""
+    wrong = rng.random(counts.size) < share
+    high = np.floor(np.roll(counts, side) / 256)
+    return np.asarray(np.where(wrong, 256 * high + counts % 256, counts))
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("noise", [30.0, 60.0])
+def test_torn_reads_are_reported_and_mostly_corrected(noise: float, side: int) -> None:
+    """The side of the neighbour is found; N is right to 0.6 %."""
+    rng = np.random.default_rng(67)
+    counts = np.round(noise * rng.standard_normal(60_000))
+    series = _series(1e-5 * torn(counts, 0.003, rng, side=side))
+    corrected, (finding,) = without_torn_reads(series)
+    assert (finding.code, finding.level, finding.axis) == ("torn-reads", "warning", "gyro_x")
+    assert "of the reads are torn" in finding.text
+    assert ("before" if side > 0 else "after") in finding.text
+    changed = corrected.samples != series.samples
+    npt.assert_allclose(np.abs((corrected.samples - series.samples)[changed]), 256e-5, rtol=1e-9)
+    wrong = series.samples != 1e-5 * counts
+    # At the limit of the odds every second correction is wrong.
+    assert np.count_nonzero(changed & ~wrong) <= 0.3 * np.count_nonzero(wrong)
+    cleaned, _ = clean(series)
+    assert float(np.std(cleaned.samples)) == pytest.approx(1e-5 * float(np.std(counts)), rel=6e-3)
+
+
+def in_kind(kind: str, n: int, rng: np.random.Generator) -> FloatArray:
+    """Return noise of a kind, with a deviation of about 1."""
+    normal = rng.standard_normal(n)
+    match kind:
+        case "Laplace":
+            return rng.laplace(size=n)
+        case "Student's t":
+            return rng.standard_t(4, n)
+        case "drift":
+            return np.asarray(normal + 0.1 * rng.standard_normal(n).cumsum())
+        case "smoothed":
+            return np.convolve(normal, np.full(10, 0.3), "same")
+        case "outliers":
+            return np.asarray(normal + 6 * (rng.random(n) < 0.003) * rng.standard_normal(n))
+    return normal
+
+
+@pytest.mark.parametrize("kind", ["normal", "Laplace", "Student's t", "drift", "smoothed", "outliers"])
+def test_noise_in_steps_has_no_torn_reads(kind: str) -> None:
+    """Ten records of each kind with random noise and level."""
+    for seed in range(10):
+        rng = np.random.default_rng([671, seed])
+        noise, level = rng.uniform(6, 150), rng.integers(-3000, 3000)
+        samples = np.round(noise * in_kind(kind, 12_000, rng) + level)
+        assert not without_torn_reads(_series(1e-5 * samples))[1]
