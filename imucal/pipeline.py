@@ -17,7 +17,12 @@ from imucal.arrays import FloatArray, never_changes, release
 from imucal.errors import ArgumentError, DataError
 from imucal.findings import Finding, as_sentence
 from imucal.fitting import FitSettings, NoiseFit, fit_axis
-from imucal.fitting.cross_checks import ambiguity_findings, fit_of_curve, second_opinion
+from imucal.fitting.cross_checks import (
+    ambiguity_findings,
+    filtered_curve_findings,
+    fit_of_curve,
+    second_opinion,
+)
 from imucal.fitting.robust import clean
 from imucal.fitting.spectral.blocks import no_noise
 from imucal.fitting.spectral.disturbances.not_noise import not_noise
@@ -252,6 +257,8 @@ def _characterize_axis(
     if not any(is_motion(finding) for finding in screened):
         # If the IMU moved, only the findings of the screening are useful.
         found = (*_of_fit(result, finite, density), *opinions)
+        if settings.method != "mle":
+            found += filtered_curve_findings(screened, settings.method, series.name)
         findings += [replace(finding, axis=series.name) for finding in found]
     mean, std = _moments(finite.samples)
     overview = Overview.of(finite)

@@ -8,7 +8,7 @@ from imucal.allan import AllanCurve, allan_curve, spectrum
 from imucal.allan.dct import Transform
 from imucal.allan.engine import refuse_tiny, same_curve
 from imucal.arrays import FloatArray
-from imucal.fitting.cross_checks import ambiguity_findings, unseen_spectrum
+from imucal.fitting.cross_checks import ambiguity_findings, filtered_curve_findings, unseen_spectrum
 from imucal.fitting.noise_fit import Estimate, NoiseFit
 from imucal.fitting.robust import clean as clean_spikes
 from imucal.fitting.settings import CRITERIA, METHODS, WEIGHTS, FitSettings, load_method
@@ -86,7 +86,10 @@ def fit(
     result = fit_axis(series, settings, temperature=temperature, curve=curve)
     if isinstance(series, AllanCurve) or settings.method == "mle":
         return result
+    from imucal.fitting.spectral.disturbances.not_noise import not_noise
+
     found = ambiguity_findings(result, spectrum(series), series.name)
+    found += filtered_curve_findings(not_noise(series.finite()), settings.method, series.name)
     return replace(result, findings=result.findings + found)
 
 

@@ -12,6 +12,7 @@ Source: Hausman (1978), "Specification tests in econometrics", Econometrica 46, 
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -191,3 +192,15 @@ def _scores(ratio: FloatArray, count: FloatArray) -> FloatArray:
     """
     variance = 2 / (9 * count)
     return np.asarray((np.cbrt(ratio) - (1 - variance)) / np.sqrt(variance))
+
+
+def filtered_curve_findings(found: Iterable[Finding], method: str, axis: str) -> tuple[Finding, ...]:
+    """Return a warning if an output filter shapes the curve of a fit; `found` are of the screening."""
+    if not any(finding.code == "roll-off" and finding.axis == axis for finding in found):
+        return ()
+    text = (
+        f"An output filter or a vibration shapes the Allan curve, which method {method} takes for noise: "
+        "N and Q may be wrong, and their intervals are too narrow."
+    )
+    advice = "Use the default, `--method mle`, which fits the filter too."
+    return (Finding("warning", "filtered-curve", text, advice, axis=axis),)

@@ -375,6 +375,7 @@ def torn(x: Samples, rng: np.random.Generator) -> Samples:
     return np.asarray(np.where(rng.random(x.size) < 0.003, 256 * high + (counts & 255), counts) * step)
 
 
+changed("w high-pass at 0.1 Hz", lambda x, _: lfilter(*butter(1, 2e-3, "high"), x))
 changed("v torn 16-bit reads, 0.3 %", torn)
 
 #: Introduction of the table.

@@ -117,7 +117,7 @@ def test_a_dry_run_writes_nothing(logs: Path) -> None:
     [
         (1, 10_000, 1, "1 log, 10 kB, about 1 s on 1 worker\n"),
         (300, 17_000_000, 4, "300 logs, 5.1 GB, about 2 min 30 s on 4 workers\n"),
-        (100_000, 224_000_000, 8, "100000 logs, 22.4 TB, about 2 d on 8 workers\n"),
+        (100_000, 224_000_000, 8, "100000 logs, 22.4 TB, about 2 d 2 h on 8 workers\n"),
     ],
 )
 def test_the_cost_of_a_fleet_has_readable_units(

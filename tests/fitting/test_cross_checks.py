@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 
 from imucal.allan import allan_curve
 from imucal.arrays import FloatArray
@@ -217,3 +218,14 @@ def test_an_impossible_covariance_raises_a_data_error() -> None:
             match="no noise has this covariance",
         ):
             whitening(np.diag([1.0, broken]))
+
+
+@pytest.mark.parametrize("method", ["gmwm", "slope"])
+@pytest.mark.parametrize("smoothing", [1.0, 0.1])
+def test_a_fit_of_the_curve_behind_a_filter_has_a_warning(method: str, smoothing: float) -> None:
+    """Smoothing by an exponential average bends the curve; without it there is no warning."""
+    white = np.random.default_rng(53).standard_normal(40_000)
+    samples = scipy.signal.lfilter([smoothing], [1, smoothing - 1], white)
+    result = fit_samples(AxisSeries.from_samples(samples, rate_hz=100.0), method=method)
+    found = [finding.level for finding in result.findings if finding.code == "filtered-curve"]
+    assert found == (["warning"] if smoothing < 1 else [])

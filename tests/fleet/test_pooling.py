@@ -146,7 +146,7 @@ def test_a_filter_of_one_record_is_not_used_for_all() -> None:
     corner = np.exp(-2 * np.pi * 15 / RATE)
     behind = signal.lfilter([1 - corner], [1, -corner], simulated("N=1e-3 + K=2e-5", 4000, 94, 0))
     records = [
-        *(simulated(f"N={n} + K=2e-5", 4000, 93, 0, i) for i, n in enumerate((1e-3, 1.5e-3))),
+        *(simulated(f"N={n} + K=2e-5", 4000, 97, 0, i) for i, n in enumerate((1e-3, 1.5e-3))),
         np.asarray(behind),
     ]
     assert fit_of(records[2]).response is not None

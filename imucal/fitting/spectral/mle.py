@@ -43,6 +43,7 @@ from imucal.fitting.spectral.disturbances.levels import (
 from imucal.fitting.spectral.disturbances.not_noise import find_shapes, line_finding, tone_finding
 from imucal.fitting.spectral.disturbances.segments import fit_segments
 from imucal.fitting.spectral.estimates import Problem, covariance_of, misfits_of, model_of
+from imucal.fitting.spectral.high_pass import above_high_pass, find_high_pass, high_pass_finding
 from imucal.fitting.spectral.likelihood import Fits, spectra
 from imucal.fitting.spectral.maximum import UNLIKELY, misfit, octave_score
 from imucal.fitting.spectral.models import SHORTEST_GIVEN, Structure, all_structures, richest
@@ -266,6 +267,10 @@ def spectral_view(
     found, doubtful, findings = find_shapes(series, blocks)
     common, may_be = (tuple(name for one in shapes for name in one.names) for shapes in (found, doubtful))
     whole = blocks.binned(("R", *common))
+    corner = find_high_pass(whole)
+    if corner is not None:
+        whole = above_high_pass(whole, corner)
+        findings += (high_pass_finding(corner, series),)
     band = find_band(
         whole,
         richest(settings.structure, settings.max_gm),
