@@ -112,6 +112,8 @@ class SeriesBlocks:
     lines: tuple[Line, ...]
     findings: tuple[Finding, ...]
     groups: tuple[tuple[Block, ...], ...]
+    #: Whether most samples were completed.
+    sparse: bool = False
 
     def binned(self, names: tuple[str, ...] = ("R",)) -> Ordinates:
         """Return the binned ordinates of all groups, with regressors of these names."""
@@ -212,6 +214,7 @@ def make_blocks(
         lines=lines,
         findings=_gap_findings(series, runs, trials=trials),
         groups=tuple(map(tuple, groups.values())),
+        sparse=_completed_share(runs) > _MANY_COMPLETED,
     )
 
 

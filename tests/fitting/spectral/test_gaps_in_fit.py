@@ -326,6 +326,27 @@ def test_runs_of_many_lengths_are_cut_to_few() -> None:
     assert np.all((lengths <= sizes) & (lengths > 0.9 * sizes))
 
 
+@pytest.mark.parametrize("burst", [1, 10])
+def test_strong_slow_noise_widens_the_intervals_of_a_sparse_record(burst: int) -> None:
+    """Its completion takes the noise of single samples for white: N alone would be wrong by 10 to 20 %."""
+    samples = simulated("N=1 + B=0.3", 60_000, 105)
+    lost = np.random.default_rng([92, 105]).random(samples.size // burst) < 0.92
+    samples[np.repeat(lost, burst)] = np.nan
+    fit = fitted(series_of(samples))
+    assert fit["N"].low <= 1 <= fit["N"].high
+    assert fit["B"].low <= 0.3 <= fit["B"].high
+    assert fit["N"].high > 1.3 * fit["N"].low
+    assert [f.level for f in fit.findings if f.code == "gaps-in-fit"] == ["warning"]
+
+
+def test_a_sparse_record_without_neighbours_is_fitted() -> None:
+    """Every third sample is there."""
+    samples = simulated("N=1", 30_000, 106)
+    samples[np.arange(samples.size) % 3 > 0] = np.nan
+    fit = fitted(series_of(samples))
+    assert fit["N"].low <= 1 <= fit["N"].high
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("burst", [1, 10])
 @pytest.mark.parametrize("model", ["N=1", "N=1 + B=0.3"])

@@ -41,7 +41,7 @@ _MOST = 0.6
 #: Rounds for it: neighbours' differences start it with nearly the white noise, slow noise follows in few.
 _ROUNDS_IF_SPARSE = 8
 #: Fraction of Nyquist from which the spectrum is taken for white: the rest has room for slow noise.
-_WHITE_FROM = 1 / 8
+WHITE_FROM = 1 / 8
 #: Slopes of the power laws: white noise, flicker, random walk.
 _SLOPES = (0, -1, -2)
 #: Start of slow noise, in multiples of the white noise at the lowest group: too little, so that updates end
@@ -134,7 +134,7 @@ def _complete_sparse(
     draw = np.append(0.0, np.random.default_rng(_SEED).standard_normal(n - 1))
     error = _conjugate(apply, idct2(_weighed(draw, 1 / np.sqrt(spectrum), groups))[gaps], white)
     # With w p ordinates a bin prefers S to white noise by as much as the ordinates w (X_k + E_k) do.
-    keep = np.sqrt(known * np.where(groups >= _WHITE_FROM * n, 1.0, share))
+    keep = np.sqrt(known * np.where(groups >= WHITE_FROM * n, 1.0, share))
     loss = 1 - keep[np.searchsorted(groups, bins.first - 1, side="right") - 1]
     return ordinates, np.repeat((1 - known) * spectrum, count), loss, mean + samples[gaps] + error
 
