@@ -12,6 +12,7 @@ import pytest
 
 import imucal
 from imucal.errors import ArgumentError
+from imucal.findings import Finding
 from tests.raising import raises
 
 RECORDING = imucal.simulate("N=1e-4 + B=2e-5", rate_hz=20.0, duration=120.0)
@@ -132,8 +133,12 @@ def test_uncertain_or_moved_noise_is_only_exported_by_force(tmp_path: Path) -> N
     moving = [replace(one, samples=one.samples + np.sin(np.arange(one.n) / 9)) for one in RECORDING.series]
     moved = imucal.characterize(replace(RECORDING, series=tuple(moving)))
     for report, code in ((vague, "uncertain"), (moved, "not-noise")):
-        with raises(imucal.DataError, code=code, place=report.source.path, argument="force"):
+        with raises(imucal.DataError, code=code, place=report.source.path, argument="force") as caught:
             imucal.export(report, "kalibr", tmp_path / "imu.yaml")
+        assert "smoothing" not in str(caught.value)
         assert list(tmp_path.iterdir()) == []
+    two_levels = Finding("warning", "two-levels", "The spectrum has two explanations.", axis="gyro_x")
+    with raises(imucal.DataError, "switch off filters and smoothing", code="uncertain"):
+        imucal.export(replace(vague, findings=(two_levels,)), "kalibr", tmp_path / "imu.yaml")
     (file,) = imucal.export(vague, "kalibr", tmp_path / "imu.yaml", force=True)
     assert file.is_file()

@@ -142,7 +142,7 @@ def command(
 
 def _next_step(report: "Report", folder: Path) -> str:
     """Return the advice for the next step: give the unit, record for longer, or export."""
-    from imucal.report.exports.config_numbers import vague_axes
+    from imucal.report.exports.config_numbers import advice_on_vague, vague_axes
 
     export = f"imucal export {as_typed(folder)} --to kalibr (or vins, px4, …, all)"
     reading = report.settings.get("reading")
@@ -152,7 +152,8 @@ def _next_step(report: "Report", folder: Path) -> str:
         options = " and ".join(f"--{axis}-unit" for axis in given)
         return f"Next: run again without {options} if the log's own unit is right; if not, {export}"
     if axes := vague_axes(report):
-        return f"Next: record for longer; N of {', '.join(axes)} is uncertain by more than a factor of 10"
+        advice = advice_on_vague(report)
+        return f"Next: {advice}; N of {', '.join(axes)} is uncertain by more than a factor of 10"
     return f"Next: {export}"
 
 

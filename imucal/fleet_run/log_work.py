@@ -139,9 +139,11 @@ def work_on(task: LogTask, settings: FleetSettings) -> LogRow | WriteError:
     except WriteError as error:
         return error
     except DataError as error:
-        ended, code = ("no-data", str(error.below(task.path))), error.code
+        ended = "no-data", f"{error.below(task.path)}"
+        code = error.code
     except ImucalError as error:
-        ended, code = ("unreadable", str(error.below(task.path))), error.code
+        ended = "unreadable", f"{error.below(task.path)}"
+        code = error.code
     except ValueError as error:
         ended = "unreadable", str(error)
     except OSError as error:

@@ -32,8 +32,9 @@ from imucal.fitting.spectral.blocks import SeriesBlocks, bins_of, make_blocks
 from imucal.fitting.spectral.bounds import either, estimate_or_bound, hull_estimates, numbered, with_absent
 from imucal.fitting.spectral.disturbances.band import Band, filter_finding, response_of
 from imucal.fitting.spectral.disturbances.band_search import find_band
-from imucal.fitting.spectral.disturbances.gaps import WHITE_FROM
+from imucal.fitting.spectral.disturbances.high_pass import above_high_pass, find_high_pass, high_pass_finding
 from imucal.fitting.spectral.disturbances.levels import (
+    AT_THE_TOP,
     Level,
     hidden_levels,
     level_at_the_top,
@@ -43,25 +44,17 @@ from imucal.fitting.spectral.disturbances.levels import (
 )
 from imucal.fitting.spectral.disturbances.not_noise import find_shapes, line_finding, tone_finding
 from imucal.fitting.spectral.disturbances.segments import fit_segments
+from imucal.fitting.spectral.disturbances.sparse import sparse_factor, sparse_finding, wrong_share
 from imucal.fitting.spectral.estimates import Problem, covariance_of, misfits_of, model_of
-from imucal.fitting.spectral.high_pass import above_high_pass, find_high_pass, high_pass_finding
 from imucal.fitting.spectral.likelihood import Fits, spectra
 from imucal.fitting.spectral.maximum import UNLIKELY, misfit, octave_score
-from imucal.fitting.spectral.models import COLUMN, SHORTEST_GIVEN, Structure, all_structures, richest
+from imucal.fitting.spectral.models import SHORTEST_GIVEN, Structure, all_structures, richest
 from imucal.fitting.spectral.ordinates import Ordinates, band_top
 from imucal.fitting.spectral.selection import RankedModels, choice_findings, choose, near_candidates
 from imucal.frozen import frozen_alone
-from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.processes import try_side_work
 from imucal.recording import AxisSeries
-
-#: Share of slow noise at `WHITE_FROM` from which N of a sparse record is biased by more than its interval.
-_STRONG_SLOW = 0.02
-#: Factor on the intervals of a sparse record per share of slow noise: N is wrong by up to that share.
-_PER_SLOW = 50.0
-#: Standard errors of the variance of neighbours' differences that are no chance.
-_SURE_DIFFERENCE = 4.0
 
 
 @frozen_alone
@@ -105,7 +98,9 @@ def fit_mle(
     response = response_of(fitted, view.band, series.rate_hz)
     names, covariance = covariance_of(problem, fitted, own)
     model = model_of(problem, fitted, own)
-    misfits |= _sparse_factors(view, fitted, model, series)
+    wrong = wrong_share(view.ordinates, fitted, model, series) if view.blocks.sparse else 0.0
+    sparse = sparse_factor(estimates, wrong)
+    factors = {symbol: max(sparse, misfits.get(symbol, 1.0)) for symbol in TERMS}
 
     def over_time() -> tuple[Segments | None, VarianceChange | None]:
         if settings.segments < 2:
@@ -129,15 +124,15 @@ def fit_mle(
         code="nonstationary",
         axis=series.name,
     )
-    covariance = widened_covariance(names, covariance, segments, misfits)
-    estimates, names = numbered(_or_filter(widened(estimates, segments, misfits), view.band), names)
+    covariance = widened_covariance(names, covariance, segments, factors)
+    estimates, names = numbered(_or_filter(widened(estimates, segments, factors), view.band), names)
     levels = _other_levels(estimates, problem, view, fitted, series) if settings.structure is None else ()
     two_levels = levels_finding(estimates, levels, TERMS["N"].unit(series.sensor), series.name)
     estimates = with_levels(estimates, levels)
     findings = [*view.findings, *tone_finding(view.blocks, series, fitted=True)]
     findings += line_finding(view.blocks.lines, series)
     findings += filter_finding(fitted, view.band, response, rate_hz=series.rate_hz, axis=series.name)
-    findings += two_levels
+    findings += [*two_levels, *sparse_finding(sparse, series.name)]
     octaves = octave_score(view.ordinates, fitted)
     findings += _misfit_findings(found, octaves, misfits, str(model), series.name)
     findings += [*not_compared, *nonstationary_finding(segments, change, series.name)]
@@ -196,30 +191,6 @@ def _estimates(
     return fitted, own, estimates
 
 
-def _sparse_factors(view: View, fitted: Fits, model: NoiseModel, series: AxisSeries) -> dict[str, float]:
-    """Return the factors by which intervals widen in a record of which most samples are missing.
-
-    Its completion takes the noise of single samples for white. If slow noise is strong there, or if the model
-    does not give the variance of the differences of neighbours, N is wrong by up to as much.
-    """
-    if not view.blocks.sparse:
-        return {}
-    spectrum = fitted.spectrum[0]
-    lowest = int(np.argmin(np.abs(view.ordinates.fraction - WHITE_FROM)))
-    white = float(np.exp(fitted.theta[0, COLUMN["N"]])) * float(view.ordinates.basis[COLUMN["N"], lowest])
-    slow = 1 - white / float(spectrum[lowest])
-    ends = [segment.stop for segment in series.clock.segments[:-1]]
-    differences = np.delete(np.diff(series.samples), np.array(ends, dtype=np.int64) - 1)
-    seen = 0.5 * float(np.sum(differences**2))
-    expected = differences.size * float(model.avar(np.array([1.0]), rate_hz=series.rate_hz)[0])
-    share = slow if slow > _STRONG_SLOW else 0.0
-    if seen > 0 and expected > 0:
-        wrong = abs(float(np.log(seen / expected)))
-        if wrong > _SURE_DIFFERENCE * float(np.sqrt(3 / differences.size)):
-            share = max(share, wrong)
-    return dict.fromkeys(TERMS, 1 + _PER_SLOW * share) if share else {}
-
-
 def _other_levels(
     estimates: tuple[Estimate, ...], problem: Problem, view: View, fitted: Fits, series: AxisSeries
 ) -> tuple[Level, ...]:
@@ -232,7 +203,7 @@ def _other_levels(
         return ()
     variance, error = found
     value = problem.deviation("N") * variance**0.5
-    top = Level(value=value, low=value * (1 - error), high=value * (1 + error))
+    top = Level(value=value, low=value * (1 - error), high=value * (1 + error), cause=AT_THE_TOP)
     return outside(estimates, [top])
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from imucal.atomic import write_configs
 from imucal.errors import ArgumentError, DataError, Fix
 from imucal.grading import FORCE, refusal
-from imucal.report.exports.config_numbers import DEFAULT_OPTIONS, ExportOptions, vague_axes
+from imucal.report.exports.config_numbers import DEFAULT_OPTIONS, ExportOptions, advice_on_vague, vague_axes
 from imucal.report.exports.target import Target, name_key, read_targets
 from imucal.report.result import Report
 
@@ -80,7 +80,7 @@ def refuse_unsound(report: Report, *, place: object) -> None:
     axes = vague_axes(report)
     if axes:
         problem = f"N of {', '.join(axes)} is uncertain by more than a factor of 10; {_NOTHING}"
-        raise DataError(problem, place=place, fixes=(Fix("record for longer"), FORCE), code="uncertain")
+        raise DataError(problem, place=place, fixes=(Fix(advice_on_vague(report)), FORCE), code="uncertain")
 
 
 def export(

@@ -473,6 +473,13 @@ def vague_axes(report: Report) -> tuple[str, ...]:
     return tuple(found)
 
 
+def advice_on_vague(report: Report) -> str:
+    """Return how to know N better: a longer record does not decide between two explanations of N."""
+    if any(finding.code == "two-levels" for finding in report.all_findings):
+        return "switch off filters and smoothing and record again"
+    return "record for longer"
+
+
 def _excess(axis: AxisReport, estimate: Estimate) -> float | None:
     """Return the ratio of a bound to the largest coefficient whose line is below the measured curve."""
     curve = axis.fit.curve

@@ -327,16 +327,40 @@ def test_runs_of_many_lengths_are_cut_to_few() -> None:
 
 
 @pytest.mark.parametrize("burst", [1, 10])
-def test_strong_slow_noise_widens_the_intervals_of_a_sparse_record(burst: int) -> None:
-    """Its completion takes the noise of single samples for white: N alone would be wrong by 10 to 20 %."""
-    samples = simulated("N=1 + B=0.3", 60_000, 105)
+@pytest.mark.parametrize(
+    ("model", "symbol", "truth", "width"), [("N=1 + B=0.3", "B", 0.3, 1.3), ("N=1 + K=0.01", "K", 0.01, 1.1)]
+)
+def test_slow_noise_widens_the_intervals_of_a_sparse_record(
+    model: str, symbol: str, truth: float, width: float, burst: int
+) -> None:
+    """Its completion takes the noise of single samples for white: N alone would be wrong by 1 to 20 %."""
+    samples = simulated(model, 60_000, 105)
     lost = np.random.default_rng([92, 105]).random(samples.size // burst) < 0.92
     samples[np.repeat(lost, burst)] = np.nan
     fit = fitted(series_of(samples))
     assert fit["N"].low <= 1 <= fit["N"].high
-    assert fit["B"].low <= 0.3 <= fit["B"].high
-    assert fit["N"].high > 1.3 * fit["N"].low
-    assert [f.level for f in fit.findings if f.code == "gaps-in-fit"] == ["warning"]
+    assert fit[symbol].low <= truth <= fit[symbol].high
+    assert fit["N"].high > width * fit["N"].low
+    # How the gaps were handled, and that the intervals are wider.
+    assert [f.level for f in fit.findings if f.code == "gaps-in-fit"] == ["warning", "warning"]
+
+
+def test_a_long_sparse_record_allows_for_a_share_of_n_and_not_for_chance() -> None:
+    """The bias does not fall with the length of the record as the standard error does."""
+    samples = simulated("N=1 + K=0.01", 600_000, 501)
+    samples[np.random.default_rng([92, 501]).random(samples.size) < 0.92] = np.nan
+    fit = fitted(series_of(samples))
+    assert fit["N"].low <= 1 <= fit["N"].high
+    assert 1.1 < fit["N"].high / fit["N"].low < 1.3
+
+
+def test_white_noise_of_a_sparse_record_is_known_to_chance() -> None:
+    samples = simulated("N=1", 60_000, 107)
+    samples[np.random.default_rng([92, 107]).random(samples.size) < 0.92] = np.nan
+    fit = fitted(series_of(samples))
+    assert fit["N"].low <= 1 <= fit["N"].high
+    assert fit["N"].high / fit["N"].low < 1.06
+    assert len([f for f in fit.findings if f.code == "gaps-in-fit"]) == 1
 
 
 def test_a_sparse_record_without_neighbours_is_fitted() -> None:

@@ -6,7 +6,7 @@ from scipy.signal import butter, lfilter
 
 from imucal.arrays import FloatArray
 from imucal.fitting.spectral.blocks import make_blocks
-from imucal.fitting.spectral.high_pass import find_high_pass
+from imucal.fitting.spectral.disturbances.high_pass import find_high_pass
 from imucal.recording import AxisSeries
 from tests.fitting.fits import fitted
 from tests.screening.still import KINDS, flicker

@@ -54,6 +54,7 @@ def test_smoothing_with_a_little_noise_behind_it_has_two_readings(seed: int) -> 
     assert found["N"].high > N
     (warning,) = [finding for finding in found.findings if finding.code == "two-levels"]
     assert warning.level == "warning"
+    assert "smoothing filter" in warning.text
 
 
 @pytest.mark.parametrize(("low", "high", "power"), [(2, 8, 0.25), (2, 8, 0.5), (0.5, 2, 0.5)])
@@ -121,12 +122,12 @@ def test_a_short_gauss_markov_term_that_hides_white_noise_is_a_reading() -> None
 
 def test_limits_contain_other_levels_and_the_value_stays() -> None:
     white, walk = _estimate("N", 1.0, 0.9, 1.1), _estimate("K", 1.0, 0.9, 1.1)
-    top = Level(value=0.5, low=0.49, high=0.51)
+    top = Level(value=0.5, low=0.49, high=0.51, cause="a filter")
     levels = outside([white, walk], [top])
     assert levels == (top,)
     wider = with_levels([white, walk], levels)
     assert (wider[0].value, wider[0].low, wider[0].high) == (1.0, 0.49, 1.1)
     assert wider[1] == walk
-    inside = Level(value=1.05, low=1.0, high=1.2)
+    inside = Level(value=1.05, low=1.0, high=1.2, cause="a filter")
     assert not outside([white, walk], [inside])
     assert with_levels([white, walk], ()) == (white, walk)

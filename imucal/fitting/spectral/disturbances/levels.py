@@ -21,7 +21,15 @@ from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.frozen import frozen
 from imucal.noise.terms import GaussMarkov
 
-__all__ = ["Level", "hidden_levels", "level_at_the_top", "levels_finding", "outside", "with_levels"]
+__all__ = [
+    "AT_THE_TOP",
+    "Level",
+    "hidden_levels",
+    "level_at_the_top",
+    "levels_finding",
+    "outside",
+    "with_levels",
+]
 
 #: Lower end of the highest frequencies, as a fraction of Nyquist: their upper octave.
 _TOP = 0.5
@@ -39,6 +47,11 @@ _SHORT = 100.0
 _HIDING = 4.0
 
 
+_SMOOTHING = "a Gauss-Markov term, or white noise behind a smoothing filter to which a little noise was added"
+#: Cause of a level at the highest frequencies.
+AT_THE_TOP = "a filter, or a vibration beside the white noise"
+
+
 @frozen
 class Level:
     """A reading of N in U/sqrt(Hz), with its limits."""
@@ -46,6 +59,8 @@ class Level:
     value: float
     low: float
     high: float
+    #: What else than white noise the spectrum would then contain.
+    cause: str
 
 
 def level_at_the_top(whole: Ordinates, beta: FloatArray, *, rounding: float) -> tuple[float, float] | None:
@@ -84,7 +99,8 @@ def hidden_levels(estimates: Sequence[Estimate], *, tau0: float) -> tuple[Level,
         if time.value < _SHORT * tau0 and hidden > _HIDING * floor**2:
             density = floor**2 + hidden
             limit = floor**2 + 2 * one.high**2 * time.high
-            found.append(Level(value=density**0.5, low=density**0.5, high=limit**0.5))
+            level = density**0.5
+            found.append(Level(value=level, low=level, high=limit**0.5, cause=_SMOOTHING))
     return outside(estimates, found)
 
 
@@ -116,9 +132,10 @@ def levels_finding(
     readings = [f"{level.value:.3g}" for level in levels]
     if white.value is not None:
         readings.insert(0, f"{white.value:.3g}")
+    causes = " or ".join(dict.fromkeys(level.cause for level in levels))
     text = (
-        f"The spectrum has two explanations, with N = {' or '.join(readings)} {unit}: there may be a "
-        "smoothing filter with noise behind it, or a vibration. The limits of N contain both."
+        f"The spectrum has two explanations, with N = {' or '.join(readings)} {unit}: {causes}. The limits "
+        "of N contain both."
     )
-    advice = "Record on a firm surface with filters and smoothing switched off; then one explanation is left."
+    advice = "Switch off filters and smoothing, and record on a firm surface; then one explanation is left."
     return (Finding("warning", "two-levels", text, advice, axis=axis),)
