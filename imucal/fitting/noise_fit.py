@@ -216,9 +216,8 @@ class Line:
 
 @frozen
 class Response:
-    """The output filter: kind (``one-pole``, ``butterworth-2`` …), -3 dB corner in Hz."""
+    """The output filter: its -3 dB corner in Hz."""
 
-    kind: str
     cutoff_hz: float
 
 

@@ -233,7 +233,7 @@ def log_values(
     """
     bins, structure = _bins_of([fit]), _structure_of(model, level)
     # A fit of the same given terms has already found the band, unless it is flat.
-    fraction, poles = (fit.settings.get(name) for name in ("band_fraction", "response_poles"))
+    fraction, poles = (fit.settings.get(name) for name in ("band_fraction", "response_coefficients"))
     same = fit.criterion == "given" and {e.symbol for e in fit.estimates} == {*structure, *ALWAYS}
     near = fraction if isinstance(fraction, float) and same and (poles or fraction < 1) else None
     found = fit_bins(bins, structure, level=level, near=near)

@@ -19,7 +19,7 @@ from imucal.recording import Axis, Sensor, Source
 from imucal.report.result import Overview
 from imucal.report.typed_json import Key
 
-SCHEMA = "imucal/report/3"
+SCHEMA = "imucal/report/4"
 SIGNAL_SCHEMA = "imucal/signal/1"
 
 Finite: TypeAlias = Annotated[float, Key(null=None)]

@@ -382,6 +382,6 @@ def _response(axes: "Axes", axis: AxisReport) -> list[Label]:
         return []
     axes.axvline(response.cutoff_hz, color=INK, linewidth=1.0, dashes=(2, 2), zorder=5)
     bottom, top = axes.get_ylim()
-    text = f"output filter\n{response.kind}\n{response.cutoff_hz:.3g} Hz"
+    text = f"output filter\n-3 dB at {response.cutoff_hz:.3g} Hz"
     heights = np.geomspace(bottom, top, 8)[1:-1]
     return [Label(text, np.full(heights.size, response.cutoff_hz), heights, INK)]

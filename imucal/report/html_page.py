@@ -164,7 +164,7 @@ def _psd(axis: AxisReport) -> JsonObject:
         **_rounded(4, f=smooth.frequency, root=smooth.root, low=smooth.low, high=smooth.high, model=model),
         "band": to_json(fit.goodness.band_hz),
         "lines": [[line.frequency_hz, to_json(line.amplitude)] for line in fit.goodness.lines],
-        "filter": response and [response.kind, to_json(response.cutoff_hz)],
+        "filter": response and to_json(response.cutoff_hz),
     }
 
 

@@ -202,7 +202,7 @@ def schema() -> JsonObject:
     """Return the JSON Schema of `report.json`."""
     from importlib.resources import files
 
-    text = files("imucal.report").joinpath("schema", "report-3.schema.json").read_text(encoding="utf-8")
+    text = files("imucal.report").joinpath("schema", "report-4.schema.json").read_text(encoding="utf-8")
     document: JsonObject = json.loads(text)
     return document
 

@@ -61,7 +61,7 @@ def _keys(name: str) -> Callable[[], str]:
     """Return the function that creates the table of the keys of a part of report.json."""
 
     def table() -> str:
-        text = (files("imucal.report") / "schema" / "report-3.schema.json").read_text(encoding="utf-8")
+        text = (files("imucal.report") / "schema" / "report-4.schema.json").read_text(encoding="utf-8")
         schema = json.loads(text)
         parts = [schema["$defs"][name]] if name else [schema, schema["oneOf"][0]]
         keys = {key: value for part in parts for key, value in part["properties"].items()}

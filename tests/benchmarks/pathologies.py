@@ -45,6 +45,8 @@ class Record:
     method: str = "mle"
     #: Samples of two more axes, if the finding is about a sensor.
     others: tuple[Samples, ...] = ()
+    #: Temperatures in degrees Celsius at the samples, if the log contains them.
+    temperature: Samples | None = None
     #: Whether the finding is one of the screening, which a fit of one axis omits.
     screened: bool = False
 
@@ -378,6 +380,77 @@ def torn(x: Samples, rng: np.random.Generator) -> Samples:
 changed("w high-pass at 0.1 Hz", lambda x, _: lfilter(*butter(1, 2e-3, "high"), x))
 changed("v torn 16-bit reads, 0.3 %", torn)
 
+changed(
+    "x smoothing a = 0.05, then white noise of 5 %",
+    lambda x, r: smooth(0.05)(x, r) + 5e-5 * r.standard_normal(x.size),
+    n=90_000,
+)
+for low, high, squared, n in ((2, 8, 0.25, 90_000), (2, 8, 0.5, 18_000), (0.5, 2, 0.5, 90_000)):
+    band = vibrating(low / 50, high / 50, np.sqrt(squared) * N * 10, order=2)
+    changed(f"x vibration of {low:g}-{high:g} Hz, {squared:g} N²", band, n=n)
+
+
+def swaying(x: Samples, rng: np.random.Generator) -> Samples:
+    """Return smoothed samples with a sway of 0.1 to 0.5 Hz of nine times the density."""
+    return np.asarray(smooth(0.1)(x, rng) + vibrating(0.002, 0.01, 3e-3)(0 * x, rng))
+
+
+def filtered_vibration(x: Samples, rng: np.random.Generator) -> Samples:
+    """Return samples with a vibration of 1 to 3 Hz, both behind a low-pass filter of 20 Hz."""
+    vibration = vibrating(0.01, 0.03, 3 * N * np.sqrt(200), order=2)(x, rng)
+    return np.asarray(lfilter(*butter(2, 0.2), vibration))
+
+
+changed("x smoothing a = 0.1 and sway of 0.1-0.5 Hz", swaying)
+changed("x low-pass of 20 Hz and vibration of 1-3 Hz", filtered_vibration, rate_hz=200.0)
+
+
+def moving_level(name: str, minutes: float, shape: Callable[[Samples], Samples]) -> None:
+    """Add a case whose level changes by 2e-4 rad/s; `shape` is its share, from s after a random time."""
+
+    def change(x: Samples, rng: np.random.Generator) -> Samples:
+        begin = x.size / 20 * rng.uniform(0.25, 0.65)
+        return x + 2e-4 * shape(np.arange(x.size) / 20 - begin)
+
+    changed(name, change, rate_hz=20.0, n=round(minutes * 1200))
+
+
+moving_level("x bump of 5 min in 1 h", 60, lambda t: np.exp(-0.5 * (t / 300) ** 2))
+moving_level("x load switched on, lag 2 min, in 30 min", 30, lambda t: -np.expm1(-np.maximum(t, 0) / 120))
+moving_level("x level moves within 10 min of 2 h", 120, lambda t: np.clip(t / 600, 0, 1))
+moving_level("x level moves within 2 min of 1 h", 60, lambda t: np.clip(t / 120, 0, 1))
+
+
+def conditioned(x: Samples, rng: np.random.Generator) -> Samples:
+    """Return samples whose level follows an air conditioning: on and off for 4 to 16 minutes, lag 5 min."""
+    turns = np.cumsum(rng.uniform(240, 960, 40) * 20).astype(int)
+    on = np.searchsorted(turns, np.arange(x.size), side="right") % 2
+    return np.asarray(x + 1e-4 * smooth(1 / 6000)(on.astype(float), rng))
+
+
+changed("x irregular air conditioning", conditioned, rate_hz=20.0, n=144_000)
+
+
+@case("x logged temperature explains the drift")
+def _warming(rng: np.random.Generator) -> Record:
+    t = np.arange(72_000) / 20
+    degrees = 25 - 4 * np.expm1(-t / 900) + 0.4 * np.sin(2 * np.pi * t / 1300 + rng.uniform(0, 6))
+    samples = noise(rng, 20.0, t.size) + 1e-4 * (degrees - 25)
+    return Record(samples=samples, rate_hz=20.0, temperature=degrees)
+
+
+@case("x averaged from 20 to 2 Hz, B = N")
+def _averaged_to_2_hz(rng: np.random.Generator) -> Record:
+    samples = noise(rng, 20.0, 300_000, 1e-4).reshape(-1, 10).mean(axis=1)
+    return Record(samples=samples, rate_hz=2.0, flicker=1e-4)
+
+
+@case("x averaged from 100 to 5 Hz, B = 2 N")
+def _averaged_to_5_hz(rng: np.random.Generator) -> Record:
+    samples = noise(rng, 100.0, 600_000, 2e-4).reshape(-1, 20).mean(axis=1)
+    return Record(samples=samples, rate_hz=5.0, flicker=2e-4)
+
+
 #: Introduction of the table.
 _ABOUT = """`tests/benchmarks/pathologies.py` wrote this table.
 "NB" has N and B, "white" has N only. A record is silently wrong if
@@ -413,7 +486,7 @@ def run(draw: Case, rng: np.random.Generator, tally: Tally) -> None:
             others = [imucal.AxisSeries.from_samples(x, rate_hz=record.rate_hz, axis=a) for a, x in pairs]
             source = Source(path="drawn", format="csv")
             findings = screen_values(imucal.Recording(source=source, series=(series, *others)))
-        fit = imucal.fit(series, method=record.method)
+        fit = imucal.fit(series, method=record.method, temperature=record.temperature)
     except ImucalError:
         tally.refused += 1
         return

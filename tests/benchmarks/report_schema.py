@@ -26,7 +26,7 @@ __all__ = ["SCHEMA_FILE", "report_schema"]
 
 Schema: TypeAlias = dict[str, Any]
 
-SCHEMA_FILE = Path(imucal.__file__).parent / "report" / "schema" / "report-3.schema.json"
+SCHEMA_FILE = Path(imucal.__file__).parent / "report" / "schema" / "report-4.schema.json"
 
 _DESCRIPTIONS: dict[str, dict[str, str]] = tomllib.loads(
     Path(__file__).with_name("report_keys.toml").read_text(encoding="utf-8")

@@ -153,6 +153,6 @@ def test_json_on_standard_output_is_the_report_however_many_axes_are_fitted_at_a
     assert one.stderr == two.stderr == ""
     assert run(*command[:-1], cwd=tmp_path).stdout == one.stdout
     document = json.loads(one.stdout)
-    assert document["schema"] == "imucal/report/3"
+    assert document["schema"] == "imucal/report/4"
     assert len(document["axes"]) == 6
     assert list(tmp_path.iterdir()) == []

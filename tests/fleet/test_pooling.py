@@ -160,7 +160,7 @@ def test_a_known_band_gives_the_same_values_as_a_search(seed: int) -> None:
     corner = np.exp(-2 * np.pi * (8 + 4 * seed) / RATE)
     behind = signal.lfilter([1 - corner], [1, -corner], simulated("N=1e-3 + K=2e-4", 3000, 95, seed))
     fit = fit_of(np.asarray(behind))
-    assert fit.settings["response_poles"]
+    assert fit.settings["response_coefficients"]
     assert fit.criterion == "given"
     assert imucal.log_values("u", fit) == imucal.log_values("u", replace(fit, criterion="chance"))
 
@@ -283,7 +283,7 @@ def _other(kind: str, fit: NoiseFit) -> NoiseFit:
         "bins": {"bins": None},
         "rate": {"rate_hz": 200.0},
         "sensor": {"sensor": Sensor.ACCELEROMETER},
-        "filter": {"response": Response(kind="one-pole", cutoff_hz=20.0)},
+        "filter": {"response": Response(cutoff_hz=20.0)},
     }
     return replace(fit, **changes[kind])  # type: ignore[arg-type]
 

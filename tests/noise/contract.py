@@ -10,7 +10,7 @@ from imucal.noise.terms import TERMS
 from imucal.units import DATASHEET_UNITS
 
 _README = Path(__file__).parents[2] / "README.md"
-_SCHEMA = Path(imucal.__file__).parent / "report" / "schema" / "report-3.schema.json"
+_SCHEMA = Path(imucal.__file__).parent / "report" / "schema" / "report-4.schema.json"
 _ATTRIBUTES = ("symbol", "names", "units", "datasheet", "stroke", "description")
 
 

@@ -216,6 +216,6 @@ def test_an_incomplete_term_is_reported(monkeypatch: pytest.MonkeyPatch) -> None
     """The new terms are neither in the docs nor in the schema; missing units are reported too."""
     sentences = missing("S")
     assert any("README.md has no row for S" in sentence for sentence in sentences), sentences
-    assert any("report-3.schema.json does not list S" in sentence for sentence in sentences), sentences
+    assert any("report-4.schema.json does not list S" in sentence for sentence in sentences), sentences
     monkeypatch.delattr(Sinusoid, "units")
     assert any(sentence.startswith("Sinusoid lacks `units`") for sentence in missing("S"))

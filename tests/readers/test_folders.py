@@ -121,7 +121,7 @@ def test_a_folder_without_logs_is_refused(tmp_path: Path) -> None:
 )
 def test_a_folder_written_by_imucal_is_recognised(file: str, message: str, tmp_path: Path) -> None:
     """The error explains which command reads such a folder."""
-    (tmp_path / file).write_text('{"schema": "imucal/report/3"}', encoding="utf-8")
+    (tmp_path / file).write_text('{"schema": "imucal/report/4"}', encoding="utf-8")
     with pytest.raises(ReadError, match=f"{tmp_path}: {message}"):
         read(tmp_path)
     if file == "report.json":

@@ -130,7 +130,7 @@ def consumer_report() -> Report:
             "N=1.3e-4 + B=2.1e-5",
             bounds={"K": 4.1e-7},
             mean=-4e-3,
-            response=Response(kind="butterworth-2", cutoff_hz=46.0),
+            response=Response(cutoff_hz=46.0),
             gaps=(gap,),
             band_hz=(2e-4, 30.0),
         ),

@@ -94,7 +94,7 @@ def _short_axis() -> Any:  # noqa: ANN401 - an AxisReport
         mean=1.25,
         gaps=tuple(Gap(start_s=s, missing=4, duration_s=0.02) for s in (2.0, 2.04, 9.0)),
         lines=tuple(Line(frequency_hz=f, amplitude=f * 1e-6) for f in (12.5, 30.0, 49.97, 61.0)),
-        response=Response(kind="one-pole", cutoff_hz=46.0),
+        response=Response(cutoff_hz=46.0),
         band_hz=(0.2, 60.0),
         overview_size=40,
     )

@@ -321,8 +321,8 @@ def test_load_accepts_the_file_or_its_folder(tmp_path: Path) -> None:
         ),
         (
             ("schema",),
-            "imucal/report/2",
-            'r.json: the schema is "imucal/report/2", expected "imucal/report/3"',
+            "imucal/report/3",
+            'r.json: the schema is "imucal/report/3", expected "imucal/report/4"',
         ),
     ],
 )
@@ -358,7 +358,7 @@ def test_a_missing_key_is_reported() -> None:
         (b"[1]", "found [1], expected an object"),
         (b'{"schema": NaN}', "not JSON (it contains NaN), expected the report.json"),
         (b"\xff\xfe\xfa", "not JSON"),
-        (b"{}", 'the schema is null, expected "imucal/report/3"'),
+        (b"{}", 'the schema is null, expected "imucal/report/4"'),
     ],
 )
 def test_load_refuses_other_files(tmp_path: Path, content: bytes | None, message: str) -> None:

@@ -80,7 +80,7 @@ class Fits:
     def unfiltered(self, ordinates: Ordinates) -> FloatArray:
         """Return the spectrum of the noise before the output filter, shape (b,)."""
         none = np.zeros(self.models.count, dtype=np.int64)
-        bare = replace(self.models, poles=none, zeros=none)[[0]]
+        bare = replace(self.models, poles=none)[[0]]
         return np.asarray(spectra(ordinates, bare, self.theta[[0]])[0][0])
 
 
@@ -170,7 +170,7 @@ def _filter(
 ) -> None:
     """Multiply the spectrum by the response and add its slopes, in place."""
     first = models.response
-    rows = np.flatnonzero((models.poles > 0) | (models.zeros > 0))
+    rows = np.flatnonzero(models.poles > 0)
     if not rows.size:
         return
     x = ordinates.lam / ordinates.top
@@ -182,8 +182,7 @@ def _filter(
     between = _BETWEEN ** np.arange(1, models.room_poles + 1)[:, None]
     negative = np.any(denominator <= 0, axis=1) | np.any(1 + response @ between <= 0, axis=1)
     denominator[negative] = np.nan
-    numerator = np.maximum(1 - ordinates.lam / 4, 1e-12) ** models.zeros[rows, None]
-    spectrum[rows] *= numerator / denominator
+    spectrum[rows] /= denominator
     slopes[rows, first:] = np.where(use[:, :, None], -powers / denominator[:, None, :], 0.0)
 
 

@@ -148,7 +148,7 @@ def octave_score(ordinates: Ordinates, found: Fits) -> float:
 
     The residuals of an octave are summed with their signs, so that an octave which is too high as a whole
     counts, even if each residual is small. The sum of X²/S over an octave of n ordinates, less n, has the
-    variance 2n. Each parameter of the model takes away one degree of freedom.
+    variance 2n. Each parameter that the data determine takes away one degree of freedom.
     """
     octave = np.floor(np.log2(ordinates.fraction))
     order = np.argsort(octave, kind="stable")
@@ -157,7 +157,7 @@ def octave_score(ordinates: Ordinates, found: Fits) -> float:
     ratio = np.add.reduceat((ordinates.rest(found.beta[0]) / found.spectrum[0])[order], first)
     known = size >= _LEAST_OF_OCTAVE
     score = (ratio - size)[known] / np.sqrt(2 * size[known])
-    free = int(found.models.free[0].sum())
+    free = int(np.count_nonzero(np.diag(found.information[0])[found.models.free[0]] > _DETERMINED))
     return float(scipy.special.chdtrc(max(score.size - free, 1), np.sum(score**2)))
 
 
@@ -192,6 +192,8 @@ def _residuals(ordinates: Ordinates, found: Fits) -> tuple[IntArray, FloatArray,
 UNLIKELY = 1e-3
 #: Least number of ordinates of an octave whose sum is nearly normal.
 _LEAST_OF_OCTAVE = 60
+#: Information on the logarithm of a parameter from which the data determine it, to a factor of e.
+_DETERMINED = 1.0
 #: Number of correlation times in the dictionary.
 _GRID = 16
 #: Rounds of updates, number of best mixtures of each model, and exponent.
@@ -232,7 +234,7 @@ def find_starts(
     ramped: BoolArray = np.any(models.regressors, axis=1)[owner]
     for rows, own in ((~ramped, ordinates), (ramped, ordinates.detrended())):
         if rows.any():
-            seen = own if response is None else own.unfiltered(response, int(models.zeros[0]))
+            seen = own if response is None else own.unfiltered(response)
             theta[rows], score[rows] = _mixtures(
                 coarser(seen), models, owner[rows], places[rows], times, _QUICK if quick else _THOROUGH
             )

@@ -95,7 +95,7 @@ def fit_mle(
     fitted, own, estimates = _estimates(problem, choice, view, settings)
     found = misfit(view.ordinates, fitted)
     misfits = misfits_of(problem, fitted, found)
-    response = response_of(fitted, view.band, series.rate_hz)
+    response = response_of(view.band, series.rate_hz)
     names, covariance = covariance_of(problem, fitted, own)
     model = model_of(problem, fitted, own)
     wrong = wrong_share(view.ordinates, fitted, model, series) if view.blocks.sparse else 0.0
@@ -162,8 +162,7 @@ def fit_mle(
         findings=tuple(findings),
         settings={
             "band_fraction": view.band.fraction,
-            "response_poles": view.band.poles,
-            "response_zeros": view.band.zeros,
+            "response_coefficients": view.band.poles,
             "regressors": [*taken_out],
         },
         noise_share=_noise_share(view, fitted, curve, series.rate_hz),

@@ -36,14 +36,13 @@ class Models:
     """The terms, regressors and response orders of c models.
 
     `has`, shape (c, s), masks the symbols `slots` in each model, `regressors`, shape (c, r), the regressors
-    `names`. `poles` and `zeros` have shape (c,); a row has `room_poles` columns for the response. Correlation
-    times are at least `shortest` samples.
+    `names`. `poles`, shape (c,), are the numbers of response coefficients; a row has `room_poles` columns for
+    them. Correlation times are at least `shortest` samples.
     """
 
     slots: tuple[str, ...]
     has: BoolArray
     poles: IntArray
-    zeros: IntArray
     regressors: BoolArray
     names: tuple[str, ...]
     room_poles: int
@@ -93,7 +92,7 @@ class Models:
         return [in_order(symbols[row].tolist()) for row in every]
 
     def __getitem__(self, index: IntArray | BoolArray | list[int]) -> "Models":
-        rows = ("has", "poles", "zeros", "regressors")
+        rows = ("has", "poles", "regressors")
         return replace(self, **{name: getattr(self, name)[index] for name in rows})
 
     def with_laws(self, symbols: Iterable[str]) -> "Models":
@@ -137,14 +136,13 @@ def models_of(
     names: Sequence[str],
     *,
     poles: int | Sequence[int] = 0,
-    zeros: int | Sequence[int] = 0,
     room_poles: int | None = None,
     shortest: float = SHORTEST_GIVEN,
 ) -> Models:
     """Return one model for each structure, with all of the regressors `names`.
 
-    The ramp ``R`` is only in structures that contain it. `poles` and `zeros` are equal for all models or
-    given for each.
+    The ramp ``R`` is only in structures that contain it. `poles` are equal for all models or given
+    for each.
     """
     count = len(structures)
     most = {symbol: max((own.count(symbol) for own in structures), default=0) for symbol in TERMS}
@@ -156,7 +154,6 @@ def models_of(
         slots=slots,
         has=np.array(has, dtype=bool).reshape(count, len(slots)),
         poles=np.broadcast_to(np.asarray(poles, dtype=np.int64), count),
-        zeros=np.broadcast_to(np.asarray(zeros, dtype=np.int64), count),
         regressors=np.array(own, dtype=bool).reshape(count, len(names)),
         names=tuple(names),
         room_poles=int(np.max(poles)) if room_poles is None else room_poles,

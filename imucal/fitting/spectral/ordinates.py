@@ -91,10 +91,9 @@ class Ordinates:
         drift: FloatArray = np.einsum("i,ijb,j->b", beta, self.gram, beta) - 2 * beta @ self.cross
         return self.power + drift
 
-    def unfiltered(self, response: FloatArray, zeros: int) -> "Ordinates":
+    def unfiltered(self, response: FloatArray) -> "Ordinates":
         """Return the ordinates divided by the |H|² of an output filter, for starting values."""
-        denominator = 1 + (self.lam[:, None] / self.top) ** np.arange(1, response.size + 1) @ response
-        inverse = denominator / np.maximum(1 - self.lam / 4, 1e-12) ** zeros
+        inverse = 1 + (self.lam[:, None] / self.top) ** np.arange(1, response.size + 1) @ response
         return replace(self, power=self.power * inverse, cross=self.cross * inverse, gram=self.gram * inverse)
 
     def detrended(self) -> "Ordinates":

@@ -55,8 +55,8 @@ def choose(
 
     Correlation times are at least `shortest` samples. `band` has the output filter's response.
     """
-    poles, zeros = (band.poles, band.zeros) if band else (0, 0)
-    models = models_of(structures, ordinates.names, poles=poles, zeros=zeros, shortest=shortest)
+    poles = band.poles if band else 0
+    models = models_of(structures, ordinates.names, poles=poles, shortest=shortest)
     coarse = coarser(ordinates, singles=48, merge=3)
     response = _positive(band.response, ordinates) if band else np.zeros(0)
     owner, theta = find_starts(coarse, models, keep=(1, 2, 3), quick=True, response=response)

@@ -126,9 +126,9 @@
     }
     const annotations = [];
     if (s.filter) {
-      shapes.push({ type: "line", xref: "x", yref: "paper", x0: s.filter[1], x1: s.filter[1], y0: 0, y1: 1, line: { color: css("--ink"), width: 1, dash: "dot" } });
-      annotations.push({ x: Math.log10(s.filter[1]), y: 0.02, yref: "paper", xanchor: "right", yanchor: "bottom", showarrow: false, align: "right",
-        text: `output filter<br>${s.filter[0]}<br>${number(s.filter[1])} Hz`, font: { size: 11 } });
+      shapes.push({ type: "line", xref: "x", yref: "paper", x0: s.filter, x1: s.filter, y0: 0, y1: 1, line: { color: css("--ink"), width: 1, dash: "dot" } });
+      annotations.push({ x: Math.log10(s.filter), y: 0.02, yref: "paper", xanchor: "right", yanchor: "bottom", showarrow: false, align: "right",
+        text: `output filter<br>-3 dB at ${number(s.filter)} Hz`, font: { size: 11 } });
     }
     return [traces, layout(log("frequency (Hz)", range), log(`√PSD, two-sided (${unit})`, y.length ? span(y) : [0, 1]), { shapes, annotations })];
   }

@@ -1,36 +1,27 @@
 """Tests of the findings of a spectral fit, and of the choice of its candidates."""
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.testing as npt
 import pytest
 
 from imucal.allan.curve import AllanCurve
-from imucal.arrays import FloatArray
-from imucal.fitting.noise_fit import Goodness, Line, Response
-from imucal.fitting.spectral.disturbances.band import Band, Order, filter_finding, response_of
+from imucal.fitting.noise_fit import Goodness, Line
+from imucal.fitting.spectral.disturbances.band import Band, filter_finding, response_of
+from imucal.fitting.spectral.disturbances.hump import Hump
 from imucal.fitting.spectral.disturbances.not_noise import line_finding
-from imucal.fitting.spectral.likelihood import Fits
 from imucal.fitting.spectral.mle import (
     _misfit_findings,
     _structures,
     _used,
 )
-from imucal.fitting.spectral.models import models_of, richest
+from imucal.fitting.spectral.models import richest
 from imucal.recording import AxisSeries
 from tests.fitting.fits import at_maximum
 
 SERIES = AxisSeries.from_samples(np.arange(3.0), rate_hz=100.0)
 RATE = 100.0
-
-
-def _band(fraction: float, order: Order, response: FloatArray) -> Band:
-    return Band(
-        fraction=fraction,
-        order=order,
-        poles=response.size,
-        zeros=order[1] if order[0] else 0,
-        response=response,
-    )
 
 
 @pytest.mark.parametrize(
@@ -89,10 +80,10 @@ def test_only_averaging_times_inside_the_fitted_band_are_used() -> None:
     m = np.array([1, 2, 4, 8])
     ones = np.ones(4)
     curve = AllanCurve(tau=m.astype(np.float64), m=m, avar=ones, edf=ones, n=100)
-    flat = _band(1.0, (0, 0), np.zeros(0))
+    flat = Band()
     npt.assert_array_equal(_used(curve, flat, 1.0), [0, 1, 2, 3])
     npt.assert_array_equal(_used(curve, flat, 0.25), [2, 3])
-    npt.assert_array_equal(_used(curve, _band(0.5, (0, 0), np.zeros(0)), 1.0), [1, 2, 3])
+    npt.assert_array_equal(_used(curve, Band(fraction=0.5), 1.0), [1, 2, 3])
 
 
 def test_behind_a_filter_every_candidate_has_white_noise_and_none_quantization() -> None:
@@ -112,109 +103,37 @@ def test_the_richest_model_contains_every_candidate() -> None:
     assert set(richest(("Q", "GM", "GM"), 1)) == {"Q", "N", "B", "GM", "K"}
 
 
-def _behind(poles: FloatArray, zeros: int) -> Fits:
-    """Return a model of white noise behind the response of these coefficients."""
-    models = models_of([("N",)], ("R",), poles=poles.size, zeros=zeros)
-    return at_maximum(
-        np.concatenate([np.zeros(4), poles])[None, :],
-        models=models,
-        objective=np.zeros(1),
-        information=np.zeros((1, models.width, models.width)),
-        beta=np.zeros((1, 1)),
-        beta_covariance=np.zeros((1, 1, 1)),
-    )
-
-
 @pytest.mark.parametrize(
-    ("poles", "order", "kind", "fraction"),
+    ("band", "found"),
     [
-        # 1 + a lam/4 = 2 at sin² = 1/a.
-        ([4.0], (1, 0), "one-pole", 2 / np.pi * np.arcsin(0.5)),
-        ([0.0, 16.0], (2, 0), "two-pole", 2 / np.pi * np.arcsin(0.5)),
-        # tan² = 1 at half of Nyquist, and (1 - x) / (1 - x + x) is a Butterworth filter of order 1.
-        ([0.0], (1, 1), "butterworth-1", 0.5),
-        ([-2.0, 2.0], (2, 2), "butterworth-2", 0.5),
-        ([3.0, 0.0], (2, 1), "two-pole one-zero", None),
-    ],
-)
-def test_a_response_is_named_and_its_corner_found(
-    poles: list[float], order: Order, kind: str, fraction: float | None
-) -> None:
-    """The corner is exact to the grid's step, 1/2000 of the band; the shape determines the filter family."""
-    response = np.array(poles)
-    fitted = _behind(response, order[1])
-    found = response_of(fitted, _band(1.0, order, response), RATE)
-    assert found is not None
-    assert found.kind == kind
-    if fraction is not None:
-        assert found.cutoff_hz == pytest.approx(fraction * RATE / 2, abs=1.01 * RATE / 2 / 2000)
-
-
-def test_a_response_without_a_corner_has_no_name() -> None:
-    """Neither a response of order 0 nor one that never falls to half the power has a corner."""
-    response = np.array([0.9])
-    fitted = _behind(response, 0)
-    assert response_of(fitted, _band(1.0, (1, 0), response), RATE) is None
-    assert response_of(fitted, _band(1.0, (0, 0), response), RATE) is None
-
-
-@pytest.mark.parametrize(
-    ("pole", "fraction", "order", "named", "text"),
-    [
-        (None, 1.0, (0, 0), False, None),
+        (Band(), None),
         (
-            None,
-            0.5,
-            (0, 0),
-            False,
-            "A filter or a vibration shapes the spectrum above 25 Hz; the fit uses the rest.",
+            Band(fraction=0.5),
+            ("info", "A filter or a vibration shapes the spectrum above 25 Hz; the fit uses"),
+        ),
+        (Band(response=np.array([3.0]), corner=0.25), ("info", "An output filter (-3 dB at 12.5 Hz) shapes")),
+        (
+            Band(response=np.array([0.2])),
+            ("info", "The spectrum falls at its top: an output filter bends it."),
         ),
         (
-            3.0,
-            1.0,
-            (1, 0),
-            True,
-            (
-                "An output filter (one-pole, -3 dB at 12.5 Hz) shapes the spectrum; its response is fitted "
-                "with the noise up to 50 Hz."
-            ),
+            Band(fraction=0.5, rise=1.4),
+            ("warning", "The density above 25 Hz rises to 1.4 times the noise below"),
         ),
         (
-            -0.5,
-            1.0,
-            (1, 0),
-            False,
-            (
-                "The white part of the spectrum is not flat (+3.0 dB at 50 Hz: a resonance or a "
-                "vibration); a response is fitted with the noise up to 50 Hz."
-            ),
+            Band(hump=Hump(low=0.1, high=0.2, times=3.0)),
+            ("warning", "The density between 5 and 10 Hz is up to"),
         ),
         (
-            0.5,
-            1.0,
-            (1, 0),
-            False,
-            (
-                "The white part of the spectrum is not flat (-1.8 dB at 50 Hz: an output filter); "
-                "a response is fitted with the noise up to 50 Hz."
-            ),
-        ),
-        (
-            0.5,
-            1.0,
-            (0, 0),
-            False,
-            "A filter or a vibration shapes the spectrum above 50 Hz; the fit uses the rest.",
+            Band(masked=20.0, corner=0.25),
+            ("warning", "The spectrum has two explanations: white noise behind"),
         ),
     ],
 )
-def test_findings_about_a_filter(
-    pole: float | None, fraction: float, order: Order, text: str | None, *, named: bool
-) -> None:
-    """A flat full band has no finding; other findings contain the filter, the shape or the band's end."""
-    response = np.array([] if pole is None else [pole])
-    fitted = _behind(response, 0)
-    given = Response(kind="one-pole", cutoff_hz=12.5) if named else None
-    found = filter_finding(fitted, _band(fraction, order, response), given, rate_hz=RATE, axis="gyro_x")
-    assert [f.text for f in found] == ([] if text is None else [text])
-    assert all((f.level, f.code, f.axis) == ("info", "output-filter", "gyro_x") for f in found)
+def test_findings_about_a_band(band: Band, found: tuple[str, str] | None) -> None:
+    """The whole spectrum without a bend has no finding; what may be no filter is a warning."""
+    fitted = at_maximum(np.zeros((1, 4)), objective=np.zeros(1))
+    fitted = replace(fitted, spectrum=np.ones((1, 8)))
+    findings = filter_finding(fitted, band, response_of(band, RATE), rate_hz=RATE, axis="gyro_x")
+    assert [f.level for f in findings] == ([] if found is None else [found[0]])
+    assert all(found and f.text.startswith(found[1]) and f.axis == "gyro_x" for f in findings)

@@ -28,7 +28,6 @@ def rich() -> tuple[Models, FloatArray]:
         [("Q", "N", "B", "GM", "GM", "K", "R"), ("N", "GM", "K"), ("N", "B", "R")],
         ("R",),
         poles=[2, 0, 1],
-        zeros=[1, 0, 0],
     )
     theta = np.random.default_rng(3).normal(-1.0, 0.5, (3, candidates.width))
     theta[:, 6:8] = np.log([[3.0, 60.0]])

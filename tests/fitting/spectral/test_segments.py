@@ -25,7 +25,7 @@ from tests.fitting.fits import fitted, simulated
 RATE_HZ = 100.0
 #: Eight segments of a length with a fast transform, so that no segment is shortened.
 N = 8 * 4096
-FLAT = Band(fraction=1.0, order=(0, 0), poles=0, zeros=0, response=np.zeros(0))
+FLAT = Band()
 
 
 def axis(samples: np.ndarray, keep: np.ndarray | None = None) -> AxisSeries:

@@ -59,7 +59,7 @@ def test_the_best_structure_behind_a_filter_is_selected(poles: int, corner: floa
         data, band = view.ordinates, view.band
         structures = [s for s in all_structures(1, quantization=False) if "N" in s]
         choice = choose(data, structures, criterion="bic", band=band, shortest=10.0)
-        own = models_of([tuple(truth)], data.names, poles=band.poles, zeros=band.zeros, shortest=10.0)
+        own = models_of([tuple(truth)], data.names, poles=band.poles, shortest=10.0)
         start = np.zeros((1, own.width))
         for symbol, column in own.columns(start[0]):
             start[0, column] = 2 * np.log(truth[symbol] / data.scale)
@@ -255,7 +255,7 @@ def test_the_response_is_fixed_in_the_first_round(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(selection, "maximize", recorded)
     response = np.array([0.5, 2.0])[:poles]
-    band = Band(fraction=1.0, order=(poles, 0), poles=poles, zeros=0, response=response)
+    band = Band(response=response)
     data = ordinates_of(simulated("N=1", 2000, 1))
     choose(data, [("N",), ("N", "K")], criterion="bic", shortest=10.0, band=band if poles else None)
     first, last = calls[0], calls[-1]

@@ -12,7 +12,7 @@ from imucal.errors import DataError
 from imucal.findings import Finding, Level
 from imucal.fitting.noise_fit import Line
 from imucal.fitting.spectral.blocks import SeriesBlocks, make_blocks
-from imucal.fitting.spectral.disturbances.band import Band, corner_of
+from imucal.fitting.spectral.disturbances.band import Band
 from imucal.fitting.spectral.disturbances.band_search import find_band
 from imucal.fitting.spectral.disturbances.hump import hump_finding
 from imucal.fitting.spectral.disturbances.lines import likely_cause, local_level
@@ -134,12 +134,12 @@ def _sure_lines(blocks: SeriesBlocks, series: AxisSeries) -> tuple[list[Line], f
 
 
 def _roll_off_finding(band: Band, series: AxisSeries) -> tuple[Finding, ...]:
-    nyquist, corner = series.rate_hz / 2, corner_of(band)
+    nyquist = series.rate_hz / 2
     if band.hump:
         return (hump_finding(band.hump, rate_hz=series.rate_hz, axis=series.name, fitted=False),)
-    if corner is not None:
+    if band.corner is not None:
         text = (
-            f"The density of the axis falls to half near {corner * nyquist:.3g} Hz: a low-pass filter "
+            f"The density of the axis falls to half near {band.corner * nyquist:.3g} Hz: a low-pass filter "
             f"shapes its output, sampled at {series.rate_hz:.4g} Hz."
         )
     elif not band.flat:
