@@ -8,6 +8,7 @@ them all. With the response H of the Allan variance, the share of noise in the c
 S_seen is the model behind its filter, and above the band the measured spectrum.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -42,26 +43,35 @@ from imucal.fitting.spectral.disturbances.levels import (
     outside,
     with_levels,
 )
-from imucal.fitting.spectral.disturbances.not_noise import find_shapes, line_finding, tone_finding
+from imucal.fitting.spectral.disturbances.not_noise import (
+    doubtful_findings,
+    find_shapes,
+    line_finding,
+    tone_finding,
+)
 from imucal.fitting.spectral.disturbances.segments import fit_segments
+from imucal.fitting.spectral.disturbances.shapes import Disturbance
 from imucal.fitting.spectral.disturbances.sparse import sparse_factor, sparse_finding, wrong_share
 from imucal.fitting.spectral.estimates import Problem, covariance_of, misfits_of, model_of
 from imucal.fitting.spectral.likelihood import Fits, spectra
 from imucal.fitting.spectral.maximum import UNLIKELY, misfit, octave_score
 from imucal.fitting.spectral.models import SHORTEST_GIVEN, Structure, all_structures, richest
-from imucal.fitting.spectral.ordinates import Ordinates, band_top
+from imucal.fitting.spectral.ordinates import FLICKER, Ordinates, band_top
 from imucal.fitting.spectral.selection import RankedModels, choice_findings, choose, near_candidates
 from imucal.frozen import frozen_alone
 from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.processes import try_side_work
 from imucal.recording import AxisSeries
 
+#: Share of the width of N's interval from which another form of flicker noise is tried.
+_NOTICEABLE = 0.05
+
 
 @frozen_alone
 class View:
     """The part of the spectrum to fit.
 
-    `ordinates` are the bins of the `band`, and `whole` all bins. `doubtful` are regressors that may be needed
+    `ordinates` are the bins of the `band`, and `whole` all bins. `doubtful` are shapes that may be needed
     in addition.
     """
 
@@ -69,7 +79,7 @@ class View:
     band: Band
     ordinates: Ordinates
     whole: Ordinates
-    doubtful: tuple[str, ...]
+    doubtful: tuple[Disturbance, ...]
     findings: tuple[Finding, ...]
 
 
@@ -92,7 +102,8 @@ def fit_mle(
     widening = {"N": heavy_tails(series.samples)}
     problem = Problem(ordinates=view.ordinates, level=settings.level, tau0=series.tau0, widening=widening)
     choice = _choice(problem, view.band, settings)
-    fitted, own, estimates = _estimates(problem, choice, view, settings)
+    fitted, own, plain = _estimates(problem, choice, settings)
+    estimates = _with_other_readings(plain, problem, view, settings)
     found = misfit(view.ordinates, fitted)
     misfits = misfits_of(problem, fitted, found)
     response = response_of(view.band, series.rate_hz)
@@ -129,7 +140,10 @@ def fit_mle(
     levels = _other_levels(estimates, problem, view, fitted, series) if settings.structure is None else ()
     two_levels = levels_finding(estimates, levels, TERMS["N"].unit(series.sensor), series.name)
     estimates = with_levels(estimates, levels)
-    findings = [*view.findings, *tone_finding(view.blocks, series, fitted=True)]
+    findings = [*view.findings]
+    if settings.structure is None:
+        findings += _doubtful_findings(view, series, plain)
+    findings += tone_finding(view.blocks, series, fitted=True)
     findings += line_finding(view.blocks.lines, series)
     findings += filter_finding(fitted, view.band, response, rate_hz=series.rate_hz, axis=series.name)
     findings += [*two_levels, *sparse_finding(sparse, series.name)]
@@ -173,21 +187,50 @@ def fit_mle(
 
 
 def _estimates(
-    problem: Problem, choice: RankedModels, view: View, settings: FitSettings
+    problem: Problem, choice: RankedModels, settings: FitSettings
 ) -> tuple[Fits, tuple[Estimate, ...], tuple[Estimate, ...]]:
+    if settings.structure is None:
+        return hull_estimates(problem, choice)
+    fitted, own = estimate_or_bound(problem, choice)
+    return fitted, own, with_absent(problem, fitted, own)
+
+
+def _with_other_readings(
+    estimates: tuple[Estimate, ...], problem: Problem, view: View, settings: FitSettings
+) -> tuple[Estimate, ...]:
+    """Return estimates whose limits also cover a fit without doubtful shapes, and with averaged flicker."""
     if settings.structure is not None:
-        fitted, own = estimate_or_bound(problem, choice)
-        return fitted, own, with_absent(problem, fitted, own)
-    fitted, own, estimates = hull_estimates(problem, choice)
+        return estimates
     if view.doubtful:
         # A second fit removes the doubtful warm-up or cycle too.
-        names = (*view.whole.names, *view.doubtful)
+        names = (*view.whole.names, *(name for one in view.doubtful for name in one.names))
         other = view.band.select(view.blocks.binned(names))
         alternative = replace(problem, ordinates=other)
         estimates = either(
             estimates, hull_estimates(alternative, _choice(alternative, view.band, settings))[2]
         )
-    return fitted, own, estimates
+    if _flicker_moves_n(problem, estimates):
+        averaged = replace(problem, ordinates=problem.ordinates.with_averaged_flicker())
+        estimates = either(estimates, hull_estimates(averaged, _choice(averaged, view.band, settings))[2])
+    return estimates
+
+
+def _doubtful_findings(view: View, series: AxisSeries, plain: Sequence[Estimate]) -> tuple[Finding, ...]:
+    """Return the findings about doubtful shapes; a change of level matters only if K is shown without it."""
+    walk = any(one.symbol == "K" and one.low > 0 for one in plain)
+    doubtful = [one for one in view.doubtful if walk or one.kind not in {"level", "bump"}]
+    return doubtful_findings(doubtful, series, view.blocks.scale)
+
+
+def _flicker_moves_n(problem: Problem, estimates: Sequence[Estimate]) -> bool:
+    """Whether the two forms of flicker noise differ at the top of the band by a part of N's interval."""
+    white, flicker = (next(e for e in estimates if e.symbol == symbol) for symbol in ("N", "B"))
+    data = problem.ordinates
+    averaged = data.with_averaged_flicker()
+    difference = float((data.basis[FLICKER] - averaged.basis[FLICKER])[-1])
+    off = (flicker.high / problem.deviation("B")) ** 2 * difference
+    width = (white.high**2 - white.low**2) / problem.deviation("N") ** 2
+    return off > _NOTICEABLE * width
 
 
 def _other_levels(
@@ -269,7 +312,7 @@ def spectral_view(
     """Return the part of the spectrum that a rich model describes."""
     blocks = make_blocks(series, temperature, transform)
     found, doubtful, findings = find_shapes(series, blocks)
-    common, may_be = (tuple(name for one in shapes for name in one.names) for shapes in (found, doubtful))
+    common = tuple(name for one in found for name in one.names)
     whole = blocks.binned(("R", *common))
     corner = find_high_pass(whole)
     if corner is not None:
@@ -286,7 +329,7 @@ def spectral_view(
         band=band,
         ordinates=band.select(whole),
         whole=whole,
-        doubtful=may_be,
+        doubtful=doubtful,
         findings=blocks.findings + findings,
     )
 

@@ -8,6 +8,8 @@ places and times are in samples, from the first sample of the record:
     step:<place>         0 before the place, 1 from it on
     cos:<w>, sin:<w>     of w (t + 1/2), w in rad/sample: together a cycle
     temperature[:<lag>]  the temperature, behind a first-order lag
+    level:<place>,<width>  a step at the place, smoothed by a normal curve of this standard deviation
+    bump:<place>,<width>   a normal curve around the place, of height 1
 """
 
 from collections.abc import Callable, Sequence
@@ -25,6 +27,8 @@ from imucal.powerlaw import PowerLaw
 
 #: The power-law terms, in the order of a rising slope.
 LAWS = tuple(PowerLaw)
+#: Row of flicker noise in a basis.
+FLICKER = [law.value for law in LAWS].index("B")
 #: First column after the variances of the power laws in a row of parameters.
 SHAPED = len(LAWS)
 #: Starting values use at most the bins of this many blocks.
@@ -95,6 +99,19 @@ class Ordinates:
         """Return the ordinates divided by the |H|² of an output filter, for starting values."""
         inverse = 1 + (self.lam[:, None] / self.top) ** np.arange(1, response.size + 1) @ response
         return replace(self, power=self.power * inverse, cross=self.cross * inverse, gram=self.gram * inverse)
+
+    def with_averaged_flicker(self) -> "Ordinates":
+        """Return the ordinates with the flicker noise of samples that are means of many faster ones.
+
+        Its density is lam sum_k 1/|theta + 2 pi k|³: the density 1/|theta|, averaged over a sample and
+        aliased. At Nyquist it is about half of 1/sqrt(lam), the flicker noise of a fractional difference.
+        White noise stays white.
+        """
+        turn = self.fraction / 2
+        aliased = scipy.special.zeta(3, turn) + scipy.special.zeta(3, 1 - turn)
+        basis = self.basis.copy()
+        basis[FLICKER] *= np.minimum(self.lam, 4.0) ** 1.5 * aliased / (2 * np.pi) ** 3
+        return replace(self, basis=basis)
 
     def detrended(self) -> "Ordinates":
         """Return the ordinates minus a roughly fitted ramp."""
@@ -190,6 +207,12 @@ def regressor_ordinates(
     name: str, n: int, count: int, *, offset: int = 0, temperature: FloatArray | None = None
 ) -> FloatArray:
     """Return the ordinates k = 1 … count of a regressor in `n` samples from place `offset` on."""
+    if name.startswith(("level:", "bump:")):
+        kind, place, width = parsed_level(name)
+        theta = np.pi / n * np.arange(1.0, count + 1)
+        places = np.array([place - offset])
+        shape: FloatArray = level_ordinates(n, theta, places, width, bump=kind == "bump")[0]
+        return shape
     kind, value = _parsed(name)
     if kind == "temperature":
         if temperature is None:
@@ -220,6 +243,12 @@ def _parsed(name: str) -> tuple[str, float]:
 
 def regressor_samples(name: str, places: FloatArray, temperature: FloatArray | None = None) -> FloatArray:
     """Return the regressor at `places` from the first sample of the record."""
+    if name.startswith(("level:", "bump:")):
+        kind, place, width = parsed_level(name)
+        distance = (places - place) / width
+        if kind == "bump":
+            return np.asarray(np.exp(-0.5 * distance**2))
+        return np.asarray(scipy.special.ndtr(distance))
     kind, value = _parsed(name)
     if kind == "temperature" and temperature is not None:
         return lagged(temperature, value)
@@ -231,6 +260,32 @@ def regressor_samples(name: str, places: FloatArray, temperature: FloatArray | N
         "sin": lambda: np.sin(value * (places + 0.5)),
     }
     return shapes[kind]()
+
+
+def parsed_level(name: str) -> tuple[str, float, float]:
+    """Return kind, place and width of a change of level or a bump."""
+    kind, _, text = name.partition(":")
+    place, _, width = text.partition(",")
+    return kind, float(place), float(width)
+
+
+def level_ordinates(n: int, theta: FloatArray, places: FloatArray, width: float, *, bump: bool) -> FloatArray:
+    """Return the ordinates at angles `theta` = pi k/n, shape (K,), of changes of level, shape (p, K).
+
+    A change of level is a step at one of the `places`, shape (p,), smoothed by a normal curve of the standard
+    deviation `width`, in samples; a bump is this curve itself, with height 1. Beyond the ends of the record
+    both are mirrored, as all that the cosine transform sees: then the smoothing is a factor of the ordinates.
+    """
+    smoothing = np.exp(-0.5 * (theta * width) ** 2)
+    angles = places[:, np.newaxis] * theta
+    if bump:
+        return np.asarray(np.sqrt(2 / n) * np.sqrt(2 * np.pi) * width * np.cos(angles) * smoothing)
+    inside = (places > 0) & (places < n)
+    return np.asarray(
+        np.where(inside[:, np.newaxis], -np.sqrt(2 / n) * np.sin(angles), 0.0)
+        / (2 * np.sin(theta / 2))
+        * smoothing
+    )
 
 
 def step_ordinates(n: int, count: int, place: float) -> FloatArray:

@@ -1,5 +1,7 @@
 """Tests of the search for disturbances: cycles, steps, warm-ups and temperature are found and removed."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -259,7 +261,32 @@ def test_a_slow_shape_is_not_reported_as_a_random_walk(name: str) -> None:
         fit = fitted(noise(seed, "N=1e-4") + SLOW_SHAPES[name], rate_hz=10.0)
         assert fit["K"].value is None
         codes = {finding.code for finding in fit.findings}
-        assert codes & {"warm-up-fitted", "warm-up-doubtful", "cycle", "cycle-doubtful"}
+        assert codes & {"warm-up-fitted", "warm-up-doubtful", "cycle", "cycle-doubtful", "level-doubtful"}
+
+
+#: Changes of level by 2e-4 within minutes, without a random walk.
+CHANGES = {
+    "level": 1e-4 * (1 + np.tanh((T - 0.4 * T[-1]) / (0.08 * T[-1]))),
+    "bump": 2e-4 * np.exp(-0.5 * ((T - 0.6 * T[-1]) / (0.08 * T[-1])) ** 2),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_change_of_level_is_named_and_k_may_be_zero(name: str) -> None:
+    """The warning has the time of the change, in at least 3 of 4 records."""
+    named, without = 0, 0
+    for seed in range(80, 84):
+        fit = fitted(noise(seed, "N=1e-4 + B=2e-5") + CHANGES[name], rate_hz=10.0)
+        without += fit["K"].low == 0
+        for finding in fit.findings:
+            if finding.code == "level-doubtful":
+                around = re.search(r"around (\S+) s", finding.text)
+                assert around is not None
+                place = 0.4 if name == "level" else 0.6
+                named += abs(float(around[1]) / T[-1] - place) < 0.1
+                assert finding.level == "warning"
+    assert named >= 3
+    assert without >= 3
 
 
 def test_a_random_walk_is_reported_despite_the_search_for_warm_ups() -> None:
@@ -285,3 +312,13 @@ def test_gains_alone_agree_with_single_gains() -> None:
     names = ["exp:80.0", "exp:900.0", "R"]
     alone = [tool.gain(names[:1]), tool.gain(names[1:2]), 0.0]
     assert tool.gains_alone(names) == pytest.approx(alone, rel=1e-8, abs=1e-8)
+
+
+@pytest.mark.parametrize("bump", [False, True])
+def test_gains_of_levels_agree_with_single_gains(*, bump: bool) -> None:
+    blocks = _blocks(37)
+    tool = Whitened.by(blocks, 1 + 30 / (1 + np.arange(blocks[0].bins.size)), ("R",))
+    places = np.array([500.0, 2000.0, 9000.0])
+    kind = "bump" if bump else "level"
+    alone = [tool.gain((f"{kind}:{place},300.0",)) for place in places.tolist()]
+    assert tool.levels(places, 300.0, bump=bump) == pytest.approx(alone, rel=1e-8, abs=1e-8)

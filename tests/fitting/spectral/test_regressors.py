@@ -2,17 +2,19 @@
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from imucal.allan.dct import dct_bins, dct_ordinates, ramp_ordinates
 from imucal.arrays import FloatArray
 from imucal.fitting.spectral.blocks import Block
 from imucal.fitting.spectral.ordinates import (
+    FLICKER,
     exponential_ordinates,
     lagged,
     regressor_ordinates,
     regressor_samples,
 )
-from tests.fitting.fits import fitted, simulated
+from tests.fitting.fits import fitted, ordinates_of, simulated
 
 N = 40_000
 
@@ -28,6 +30,78 @@ def test_ramp_and_exponential_are_the_transform_of_their_samples() -> None:
     for time in (3.0, 80.0, 4000.0):
         expected = dct_ordinates(np.exp(-(t + 70) / time))
         np.testing.assert_allclose(exponential_ordinates(500, 499, time, 70), expected, atol=1e-10)
+
+
+@pytest.mark.parametrize("place", [40.0, 251.3, 470.0])
+@pytest.mark.parametrize("width", [3.0, 20.0, 150.0])
+def test_changes_of_level_and_bumps_are_the_transform_of_mirrored_samples(place: float, width: float) -> None:
+    """Both are mirrored at the ends of the record; a wide one has several images."""
+    n = 500
+    t = np.arange(n) + 0.5
+    images = [(2 * n * turn + side * place, side) for turn in range(-3, 4) for side in (1, -1)]
+    bump = sum(np.exp(-0.5 * ((t - at) / width) ** 2) for at, _ in images)
+    # A step up at the place is a step down at its image.
+    level = sum(side * ndtr((t - at) / width) for at, side in images)
+    # Frequencies above a tenth of Nyquist depend on the sampling of narrow curves.
+    for kind, samples in (("bump", bump), ("level", level)):
+        expected = dct_ordinates(np.asarray(samples))[:40]
+        found = regressor_ordinates(f"{kind}:{place},{width}", n, 40)
+        np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
+
+
+def test_the_samples_of_a_change_of_level_and_a_bump() -> None:
+    """Half of the change is at its place; a bump has the height 1."""
+    places = np.array([0.0, 90.0, 100.0, 110.0, 200.0])
+    level = regressor_samples("level:100.0,10.0", places, None)
+    np.testing.assert_allclose(level, [0, 0.158655, 0.5, 0.841345, 1], atol=1e-6)
+    bump = regressor_samples("bump:100.0,10.0", places, None)
+    np.testing.assert_allclose(bump, [0, np.exp(-0.5), 1, np.exp(-0.5), 0], atol=1e-6)
+
+
+def test_averaged_flicker_is_the_sum_of_its_aliases() -> None:
+    """It equals a long sum at every bin, and 1/sqrt(lam) at low frequencies."""
+    data = ordinates_of(simulated("N=1", 2000, 1))
+    averaged = data.with_averaged_flicker()
+    theta = np.pi * data.fraction
+    turns = 2 * np.pi * np.arange(-2000, 2001)[:, np.newaxis]
+    density = data.lam * np.sum(1 / np.abs(theta + turns) ** 3, axis=0)
+    ratio = averaged.basis[FLICKER] / data.basis[FLICKER]
+    np.testing.assert_allclose(ratio, density * np.sqrt(data.lam), rtol=1e-6)
+    np.testing.assert_allclose(ratio[:20], 1, rtol=1e-3)
+    assert ratio[-1] < 0.56
+    others = [row for row in range(4) if row != FLICKER]
+    np.testing.assert_array_equal(averaged.basis[others], data.basis[others])
+
+
+def test_n_holds_if_the_samples_are_means_of_faster_ones() -> None:
+    """Flicker as strong as the white noise, averaged from 20 to 2 Hz; the fit of plain flicker misses N."""
+    held, narrow = 0, 0
+    for seed in range(6):
+        rng = np.random.default_rng([71, seed])
+        fast = 1e-4 * np.sqrt(20) * rng.standard_normal(200_000)
+        frequency = np.fft.rfftfreq(400_000, 1 / 20)
+        frequency[0] = frequency[1]
+        shaped = np.fft.rfft(np.sqrt(20) * rng.standard_normal(400_000)) / np.sqrt(2 * np.pi * frequency)
+        fast += 1e-4 * np.fft.irfft(shaped)[:200_000]
+        samples = fast.reshape(-1, 10).mean(axis=1)
+        held += fitted(samples, rate_hz=2.0)["N"].low <= 1e-4 <= fitted(samples, rate_hz=2.0)["N"].high
+        given = fitted(samples, "N + B", rate_hz=2.0)["N"]
+        narrow += given.low <= 1e-4 <= given.high
+    assert held >= 5
+    assert narrow <= 3
+
+
+def test_a_logged_temperature_that_explains_the_drift_is_removed() -> None:
+    """The drift is of the size of the noise; K does not show it."""
+    removed = 0
+    for seed in range(4):
+        t = np.arange(36_000) / 10
+        degrees = 25 - 4 * np.expm1(-t / 900) + 0.4 * np.sin(2 * np.pi * t / 1300 + seed)
+        samples = simulated("N=1e-4 + B=3e-5", t.size, seed, rate_hz=10.0) + 1e-4 * (degrees - 25)
+        fit = fitted(samples, rate_hz=10.0, temperature=degrees)
+        removed += "temperature" in codes(fit.findings)
+        assert fit["K"].low == 0
+    assert removed >= 3
 
 
 def test_a_warm_up_is_found_and_k_is_not_inflated() -> None:

@@ -31,6 +31,8 @@ _CHANCE = 1e-4
 _VISIBLE = 0.1
 #: Time constants after which a warm-up has settled to 5 %.
 _SETTLED = 3.0
+#: Standard deviations within which a smooth change of level takes place.
+_WIDE = 4.0
 #: Share of the record within which jumps in one direction are one shift.
 _ONE_SHIFT = 0.02
 
@@ -58,7 +60,7 @@ def not_noise(series: AxisSeries, temperature: FloatArray | None = None) -> tupl
 def find_shapes(
     series: AxisSeries, blocks: SeriesBlocks
 ) -> tuple[tuple[Disturbance, ...], tuple[Disturbance, ...], tuple[Finding, ...]]:
-    """Return the shapes that the fit removes, the doubtful ones, and the findings about both."""
+    """Return the shapes that the fit removes, the doubtful ones, and the findings about the removed ones."""
     nothing: tuple[Disturbance, ...] = ()
     (found, doubtful), failed = try_side_work(
         lambda: find_disturbances(blocks.blocks, exact=exact_places(series)),
@@ -68,7 +70,6 @@ def find_shapes(
         axis=series.name,
     )
     findings = disturbance_findings(found, series, blocks.scale, fitted=True)
-    findings += doubtful_finding(doubtful, series, blocks.scale)
     return found, doubtful, findings + failed
 
 
@@ -232,31 +233,37 @@ _WORDS = {
 }
 
 
-def doubtful_finding(
+def doubtful_findings(
     doubtful: Sequence[Disturbance], series: AxisSeries, scale: float
 ) -> tuple[Finding, ...]:
-    """Return a finding for doubtful warm-ups or cycles; `scale` is U per scaled unit."""
-    if not doubtful:
-        return ()
-    cycles = [one for one in doubtful if one.kind == "cycle"]
-    shapes = [
-        f"a warm-up with a time constant of about {one.value * series.tau0:.2g} s"
-        for one in doubtful
-        if one.kind == "warm-up"
-    ]
-    code = "warm-up-doubtful" if shapes else "cycle-doubtful"
-    advice = (
-        "Let the sensor warm up, leave out the first part (--skip), or record for longer."
-        if shapes
-        else "Record for longer to see whether it continues."
-    )
-    if cycles:
-        shapes.append(f"a cycle with a period of {_periods(cycles, series, scale)}")
+    """Return a finding for each shape that is as likely as noise; `scale` is U per scaled unit."""
+    return tuple(_doubtful_finding(one, series, scale) for one in doubtful)
+
+
+def _doubtful_finding(one: Disturbance, series: AxisSeries, scale: float) -> Finding:
+    size = _amount(one, series, scale)
+    level: Level = "info"
+    if one.kind == "warm-up":
+        shape = f"a warm-up with a time constant of about {one.value * series.tau0:.2g} s"
+        advice = "Let the sensor warm up, leave out the first part (--skip), or record for longer."
+    elif one.kind == "cycle":
+        shape = f"a cycle with a period of {_periods([one], series, scale)}"
+        advice = "Record for longer to see whether it continues."
+    elif one.kind == "temperature":
+        shape = f"an effect of the temperature ({size} per degree C)"
+        advice = "Record at a steady temperature, or for longer."
+    else:
+        place, width = (value * series.tau0 for value in one.place_and_width)
+        what = "a change of level by" if one.kind == "level" else "a bump of"
+        shape = f"{what} {size} around {place:.3g} s, within about {_WIDE * width:.2g} s"
+        advice = "Look for heating, air conditioning or a load at that time, and record without it."
+        level = "warning"
     text = (
-        f"There may be {' and '.join(shapes)}, or a random walk that looks like it: the record can't "
-        "distinguish them. The limits of N, B and K allow for both."
+        f"There may be {shape}, or a random walk that looks like it: the record can't distinguish them. The "
+        "limits of N, B and K allow for both."
     )
-    return (Finding("info", code, text, advice, axis=series.name),)
+    code = "level-doubtful" if one.kind in {"level", "bump"} else f"{one.kind}-doubtful"
+    return Finding(level, code, text, advice, axis=series.name)
 
 
 def _periods(found: Sequence[Disturbance], series: AxisSeries, scale: float) -> str:

@@ -15,7 +15,7 @@ from imucal.fitting.spectral.disturbances.whitened import Whitened
 from imucal.fitting.spectral.likelihood import Fits
 from imucal.fitting.spectral.maximum import fit_blindly
 from imucal.fitting.spectral.models import COLUMN, Structure, models_of
-from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
+from imucal.fitting.spectral.ordinates import SHAPED, Ordinates, parsed_level
 from imucal.frozen import frozen
 from imucal.recording import AxisSeries
 
@@ -46,8 +46,23 @@ _PRICE_CYCLE = 16.0
 _DOUBT = -0.5
 #: Price of a slow cycle, which a random walk often resembles, and of a warm-up.
 _PRICE_SLOW_CYCLE, _PRICE_WARM_UP = 20.0, 20.0
-#: Gain on the rich model from which a warm-up or slow cycle is as likely as a walk.
-_RIVAL_WARM_UP, _RIVAL_CYCLE = 5.0, 14.0
+#: Gain on the rich model from which a warm-up is as likely as a walk.
+_RIVAL_WARM_UP = 6.0
+#: The same for a change of level, which has a place and a width to choose.
+_RIVAL_LEVEL = 12.0
+#: The same for a bump; a walk resembles it more often.
+_RIVAL_BUMP = 14.0
+#: The same for the logged temperature, and for the temperature behind a lag to choose.
+_RIVAL_TEMPERATURE = 0.0
+_RIVAL_LAGGED = 6.0
+#: Widths of changes of level and bumps, as parts of the record.
+_WIDTHS = np.geomspace(0.002, 0.2, 9)
+#: Widths between two places to try.
+_SPACING_OF_LEVELS = 0.5
+#: Least distance of places to try, as a part of the record.
+_NEAREST_LEVELS = 1 / 400
+#: Number of ordinates for changes of level.
+_OF_LEVELS = 256
 #: Ratio of the spectra with and without a walk from which there is one.
 _NO_WALK = 2.0
 #: Logarithm of a variance that is zero.
@@ -69,7 +84,10 @@ ExactPlace = Callable[[float, Sequence[float], float], int]
 
 @frozen
 class Disturbance:
-    """A shape in the samples that is not noise: ``temperature``, ``warm-up``, ``step`` or ``cycle``.
+    """A shape in the samples that is not noise.
+
+    The kinds are ``temperature``, ``warm-up``, ``step`` and ``cycle``, and among the doubtful ones ``level``
+    and ``bump``.
 
     `names` are its regressors, and `size` their coefficients in scaled units. `price` is the gain that it
     needs in addition to a margin.
@@ -88,6 +106,11 @@ class Disturbance:
     def value(self) -> float:
         """Number after the colon of the first regressor's name; 0 if there is none."""
         return float(self.names[0].partition(":")[2] or 0.0)
+
+    @property
+    def place_and_width(self) -> tuple[float, float]:
+        """Place and width of a change of level or a bump, in samples."""
+        return parsed_level(self.names[0])[1:]
 
 
 def find_disturbances(
@@ -160,14 +183,11 @@ def _fits(low: Sequence[Block], sets: Sequence[tuple[str, ...]], structure: Stru
 
 def _candidates(whitened: Whitened, length: int, found: Sequence[Disturbance]) -> Iterator[Disturbance]:
     """Yield the best shape of each kind, except steps, if it may be worth a fit."""
-    price = np.log(length)
-    families: list[list[Disturbance]] = []
     once = {one.kind for one in found}
-    measured = all(b.temperature is not None and np.ptp(b.temperature) > 0 for b in whitened.blocks)
-    if measured and "temperature" not in once:
-        families.append([Disturbance(kind="temperature", names=("temperature",), price=price)])
-        names = [f"temperature:{lag!r}" for lag in (_LAGS * length).tolist()]
-        families.append([Disturbance(kind="temperature", names=(name,), price=2 * price) for name in names])
+    if "temperature" not in once:
+        for gain, shape in _temperatures(whitened, length):
+            if gain > _SMOOTH_WORTH_A_FIT:
+                yield shape
     for slow in (False, True):
         gain, cycle = best_cycle(whitened, length, slow=slow)
         if gain > _SMOOTH_WORTH_A_FIT:
@@ -176,11 +196,35 @@ def _candidates(whitened: Whitened, length: int, found: Sequence[Disturbance]) -
         gain, warm_up = _warm_up(whitened, length)
         if gain > _SMOOTH_WORTH_A_FIT:
             yield warm_up
-    for shapes in families:
-        gains = [whitened.gain(shape.names) for shape in shapes]
-        best = int(np.argmax(gains))
-        if gains[best] > _WORTH_A_FIT:
-            yield shapes[best]
+
+
+def _temperatures(whitened: Whitened, length: int) -> Iterator[tuple[float, Disturbance]]:
+    """Yield the logged temperature, and behind the best lag, with their gains."""
+    if not all(b.temperature is not None and np.ptp(b.temperature) > 0 for b in whitened.blocks):
+        return
+    price = float(np.log(length))
+    yield (
+        whitened.gain(("temperature",)),
+        Disturbance(kind="temperature", names=("temperature",), price=price),
+    )
+    names = [f"temperature:{lag!r}" for lag in (_LAGS * length).tolist()]
+    gains = [whitened.gain((name,)) for name in names]
+    best = int(np.argmax(gains))
+    yield gains[best], Disturbance(kind="temperature", names=(names[best],), price=2 * price)
+
+
+def _level(whitened: Whitened, length: int, *, bump: bool) -> Disturbance:
+    """Return the change of level, or the bump, that gains most."""
+    lowest = whitened.lowest(_OF_LEVELS)
+    best = (-1.0, 0.0, 0.0)
+    for width in (_WIDTHS * length).tolist():
+        apart = max(_SPACING_OF_LEVELS * width, _NEAREST_LEVELS * length)
+        places = np.arange(apart, length - apart / 2, apart)
+        gains = lowest.levels(places, width, bump=bump)
+        row = int(np.argmax(gains))
+        best = max(best, (float(gains[row]), float(places[row]), width))
+    kind = "bump" if bump else "level"
+    return Disturbance(kind=kind, names=(f"{kind}:{best[1]!r},{best[2]!r}",), price=0.0)
 
 
 def _warm_up(whitened: Whitened, length: int) -> tuple[float, Disturbance]:
@@ -196,7 +240,7 @@ def _warm_up(whitened: Whitened, length: int) -> tuple[float, Disturbance]:
 def _rival(
     low: Sequence[Block], plain: Ordinates, base: Fits, found: Sequence[Disturbance]
 ) -> tuple[Disturbance, ...]:
-    """Return the warm-up or slow cycle that explains a record as well as a random walk does, or ()."""
+    """Return the shape that explains a record as well as a random walk does, or ()."""
     theta, length = base.theta.copy(), low[-1].offset + low[-1].bins.n
     theta[:, [COLUMN["K"], SHAPED]] = _ABSENT
     still = replace(base, theta=theta).unfiltered(plain)
@@ -204,9 +248,16 @@ def _rival(
         return ()
     names = tuple(name for one in found for name in one.names)
     whitened = Whitened.by(low, still, ("R", *names))
-    rivals = {best_cycle(whitened, length, slow=True)[1]: _RIVAL_CYCLE}
-    if all(one.kind != "warm-up" for one in found):
+    rivals = {
+        _level(whitened, length, bump=False): _RIVAL_LEVEL,
+        _level(whitened, length, bump=True): _RIVAL_BUMP,
+    }
+    kinds = {one.kind for one in found}
+    if "warm-up" not in kinds:
         rivals[_warm_up(whitened, length)[1]] = _RIVAL_WARM_UP
+    if "temperature" not in kinds:
+        needs = (_RIVAL_TEMPERATURE, _RIVAL_LAGGED)
+        rivals |= {one[1]: need for one, need in zip(_temperatures(whitened, length), needs, strict=False)}
     fits = _fits(low, [(*names, *one.names) for one in rivals], ("N", "B", "R"))
     excess = 2 * (base.objective[0] - fits.objective) - np.array([*rivals.values()])
     row = int(np.argmax(excess))

@@ -12,7 +12,7 @@ import scipy
 
 from imucal.arrays import FloatArray
 from imucal.fitting.spectral.blocks import Block
-from imucal.fitting.spectral.ordinates import cycle_ordinates
+from imucal.fitting.spectral.ordinates import cycle_ordinates, level_ordinates
 from imucal.frozen import frozen_alone
 
 #: Number of places in a block to search for a step.
@@ -100,6 +100,19 @@ class Whitened:
         return np.asarray(
             np.sum(np.where(independent, along**2 / np.where(independent, size, 1.0), 0.0), axis=-1)
         )
+
+    def levels(self, places: FloatArray, width: float, *, bump: bool) -> FloatArray:
+        """Return the gain of a change of level, or of a bump, of this `width` at each of the `places`."""
+        parts = []
+        for block, own in zip(self.blocks, self.weight, strict=True):
+            theta = np.pi / block.bins.n * np.arange(1, block.ordinates.size + 1, dtype=np.float64)
+            parts.append(level_ordinates(block.bins.n, theta, places - block.offset, width, bump=bump) * own)
+        shapes = np.concatenate(parts, axis=-1)
+        whole = np.sum(shapes**2, axis=-1)
+        shapes -= (shapes @ self.base) @ self.base.T
+        size = np.sum(shapes**2, axis=-1)
+        independent = size > _COLLINEAR**2 * whole
+        return np.where(independent, (shapes @ self.rest) ** 2 / np.where(independent, size, 1.0), 0.0)
 
     def step(self, taken: Sequence[float] = (), apart: float = 0.0) -> tuple[float, float, float]:
         """Return the place of the step that gains most, in samples of the record, its gain, and the choice.
