@@ -121,12 +121,10 @@ def without_disturbances(
     series: AxisSeries, first: NoiseFit, temperature: FloatArray | None = None
 ) -> AxisSeries:
     """Return finite samples minus the shapes that a fit took out."""
-    from imucal.fitting.spectral.ordinates import regressor_samples
-
     places = series.clock.grid().astype(np.float64)
     samples = series.samples.copy()
-    for name, size in first.taken_out.items():
-        samples -= size * regressor_samples(name, places, temperature)
+    for regressor, coefficient in first.taken_out.items():
+        samples -= coefficient * regressor.samples(places, temperature)
     return replace(series, samples=samples)
 
 

@@ -166,7 +166,7 @@ def _parts(fit: BinFit, columns: list[int]) -> tuple[Parts, FloatArray]:
     models, theta = fit.whole.models, fit.whole.theta
     joint, count = Ordinates.joined(fit.records), len(fit.records)
     owner = np.repeat(np.arange(count), [one.size.size for one in fit.records])
-    rows = np.concatenate([np.zeros(count, dtype=np.int64), np.arange(1, len(joint.names))])
+    rows = np.concatenate([np.zeros(count, dtype=np.int64), np.arange(1, len(joint.regressors))])
     own = np.ones((rows.size, owner.size))
     own[:count] = owner == np.arange(count)[:, np.newaxis]
     spectra = derivatives(joint, models, theta)[: models.variances]

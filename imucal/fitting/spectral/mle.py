@@ -26,6 +26,7 @@ from imucal.fitting.homogeneity import (
     widened_covariance,
 )
 from imucal.fitting.noise_fit import MISFIT, Estimate, Goodness, NoiseFit, Segments
+from imucal.fitting.regressors import Ramp, Regressor
 from imucal.fitting.robust import heavy_tails, resolution_effect, step_size
 from imucal.fitting.settings import FitSettings
 from imucal.fitting.spectral.blocks import SeriesBlocks, bins_of, make_blocks
@@ -44,6 +45,7 @@ from imucal.fitting.spectral.disturbances.levels import (
 )
 from imucal.fitting.spectral.disturbances.not_noise import find_shapes, line_finding, tone_finding
 from imucal.fitting.spectral.disturbances.segments import fit_segments
+from imucal.fitting.spectral.disturbances.shapes import regressors_of
 from imucal.fitting.spectral.disturbances.sparse import sparse_factor, sparse_finding, wrong_share
 from imucal.fitting.spectral.estimates import Problem, covariance_of, misfits_of, model_of
 from imucal.fitting.spectral.likelihood import Fits, spectra
@@ -69,7 +71,7 @@ class View:
     band: Band
     ordinates: Ordinates
     whole: Ordinates
-    doubtful: tuple[str, ...]
+    doubtful: tuple[Regressor, ...]
     findings: tuple[Finding, ...]
 
 
@@ -143,7 +145,7 @@ def fit_mle(
     nyquist = series.rate_hz / 2
     band_hz = (float(view.ordinates.fraction.min()) * nyquist, view.band.fraction * nyquist)
     coefficients = (fitted.beta[0] * view.whole.scale).tolist()
-    taken_out = dict(zip(view.whole.names[1:], coefficients[1:], strict=True))
+    taken_out = dict(zip(view.whole.regressors[1:], coefficients[1:], strict=True))
     return NoiseFit(
         method="mle",
         sensor=series.sensor,
@@ -163,7 +165,7 @@ def fit_mle(
         settings={
             "band_fraction": view.band.fraction,
             "response_coefficients": view.band.poles,
-            "regressors": [*taken_out],
+            "regressors": [regressor.name for regressor in taken_out],
         },
         noise_share=_noise_share(view, fitted, curve, series.rate_hz),
         taken_out=taken_out,
@@ -181,8 +183,7 @@ def _estimates(
     fitted, own, estimates = hull_estimates(problem, choice)
     if view.doubtful:
         # A second fit removes the doubtful warm-up or cycle too.
-        names = (*view.whole.names, *view.doubtful)
-        other = view.band.select(view.blocks.binned(names))
+        other = view.band.select(view.blocks.binned((*view.whole.regressors, *view.doubtful)))
         alternative = replace(problem, ordinates=other)
         estimates = either(
             estimates, hull_estimates(alternative, _choice(alternative, view.band, settings))[2]
@@ -269,8 +270,7 @@ def spectral_view(
     """Return the part of the spectrum that a rich model describes."""
     blocks = make_blocks(series, temperature, transform)
     found, doubtful, findings = find_shapes(series, blocks)
-    common, may_be = (tuple(name for one in shapes for name in one.names) for shapes in (found, doubtful))
-    whole = blocks.binned(("R", *common))
+    whole = blocks.binned((Ramp(), *regressors_of(found)))
     corner = find_high_pass(whole)
     if corner is not None:
         whole = above_high_pass(whole, corner)
@@ -286,7 +286,7 @@ def spectral_view(
         band=band,
         ordinates=band.select(whole),
         whole=whole,
-        doubtful=may_be,
+        doubtful=regressors_of(doubtful),
         findings=blocks.findings + findings,
     )
 

@@ -12,7 +12,7 @@ import scipy
 from imucal.allan.dct import DctBins
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.noise_fit import Line
-from imucal.fitting.spectral.ordinates import cycle_ordinates
+from imucal.fitting.regressors import cycle_ordinates
 from imucal.frozen import frozen
 
 #: False alarm rate per record.

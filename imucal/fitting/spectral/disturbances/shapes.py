@@ -5,11 +5,13 @@ a rich noise model: the one that gains most, if the gain exceeds its price and a
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from typing import Generic, TypeVar, cast
 
 import numpy as np
 
+from imucal.fitting.regressors import Ramp, Regressor, Step, TemperatureEffect, WarmUp, Wave
 from imucal.fitting.spectral.blocks import Block, bin_blocks
 from imucal.fitting.spectral.disturbances.whitened import Whitened
 from imucal.fitting.spectral.likelihood import Fits
@@ -67,32 +69,48 @@ _MAX_SHAPES = 8
 ExactPlace = Callable[[float, Sequence[float], float], int]
 
 
-@frozen
-class Disturbance:
-    """A shape in the samples that is not noise: ``temperature``, ``warm-up``, ``step`` or ``cycle``.
+_Shape = TypeVar("_Shape", bound=Regressor)
+_Shape_co = TypeVar("_Shape_co", bound=Regressor, covariant=True)
 
-    `names` are its regressors, and `size` their coefficients in scaled units. `price` is the gain that it
-    needs in addition to a margin.
+
+@frozen
+class Disturbance(Generic[_Shape_co]):
+    """A shape in the samples that is not noise: a temperature, a warm-up, a step or a cycle.
+
+    A cycle has two `regressors`, the others one. `size` are the coefficients in scaled units. `price` is the
+    gain that the shape needs in addition to a margin.
     """
 
-    kind: str
-    names: tuple[str, ...]
+    regressors: tuple[_Shape_co, ...]
     price: float
     size: tuple[float, ...] = ()
 
     @property
-    def amplitude(self) -> float:
-        return float(np.linalg.norm(self.size))
+    def shape(self) -> _Shape_co:
+        """The first regressor."""
+        return self.regressors[0]
 
     @property
-    def value(self) -> float:
-        """Number after the colon of the first regressor's name; 0 if there is none."""
-        return float(self.names[0].partition(":")[2] or 0.0)
+    def amplitude(self) -> float:
+        """Norm of the coefficients, in scaled units."""
+        return float(np.linalg.norm(self.size))
+
+
+def with_shape(
+    disturbances: Iterable[Disturbance[Regressor]], shape: type[_Shape]
+) -> list[Disturbance[_Shape]]:
+    """Return the disturbances whose regressors are of one class."""
+    return [cast("Disturbance[_Shape]", one) for one in disturbances if isinstance(one.shape, shape)]
+
+
+def regressors_of(disturbances: Iterable[Disturbance[Regressor]]) -> tuple[Regressor, ...]:
+    """Return the regressors of all disturbances."""
+    return tuple(regressor for one in disturbances for regressor in one.regressors)
 
 
 def find_disturbances(
     blocks: Sequence[Block], *, exact: ExactPlace | None = None
-) -> tuple[tuple[Disturbance, ...], tuple[Disturbance, ...]]:
+) -> tuple[tuple[Disturbance[Regressor], ...], tuple[Disturbance[Regressor], ...]]:
     """Return the shapes to take out in addition to the ramp, the strongest first; and the doubtful ones.
 
     `exact` returns the exact place of a step: otherwise the next best shape would be a second step that
@@ -100,22 +118,22 @@ def find_disturbances(
     """
     low = [block.lowest(max(_LOWEST // len(blocks), 64)) for block in blocks]
     length = blocks[-1].offset + blocks[-1].bins.n
-    found: list[Disturbance] = []
-    doubtful: tuple[Disturbance, ...] = ()
+    found: list[Disturbance[Regressor]] = []
+    doubtful: tuple[Disturbance[Regressor], ...] = ()
     plain = bin_blocks(low, 1.0, ())
     base = _fits(low, [()])
     while len(found) < _MAX_SHAPES:
-        names = tuple(name for one in found for name in one.names)
-        whitened = Whitened.by(low, base.unfiltered(plain), ("R", *names))
+        taken = regressors_of(found)
+        whitened = Whitened.by(low, base.unfiltered(plain), (Ramp(), *taken))
         kinds = [*_candidates(whitened, length, found)]
         kinds += _step(whitened, max(length / _MAX_PLACES, 1.0), found, exact)
-        candidates = [one for one in kinds if not set(one.names) & set(names)]
+        candidates = [one for one in kinds if not set(one.regressors) & set(taken)]
         if not candidates:
             break
-        fits = _fits(low, [(*names, *one.names) for one in candidates])
+        fits = _fits(low, [(*taken, *one.regressors) for one in candidates])
         gains = 2 * (base.objective[0] - fits.objective)
         net = gains - np.array([one.price for one in candidates])
-        cycle = np.array([one.kind == "cycle" for one in candidates])
+        cycle = np.array([isinstance(one.shape, Wave) for one in candidates])
         caused = ~cycle & (net > _MARGIN) & (gains > _CAUSED * gains.max())
         best = int(np.argmax(np.where(caused, net, -np.inf) if caused.any() else net))
         if net[best] <= _MARGIN:
@@ -124,108 +142,113 @@ def find_disturbances(
             if likely[row] > _DOUBT:
                 doubtful = _sized([candidates[row]], fits, row)
             break
-        taken, base = _taken_out(candidates[best], low, plain, names)
-        found.append(taken)
+        strongest, base = _taken_out(candidates[best], low, plain, taken)
+        found.append(strongest)
     return _sized(found, base), (*doubtful, *_rival(low, plain, base, found))
 
 
 def _taken_out(
-    one: Disturbance, low: Sequence[Block], plain: Ordinates, names: tuple[str, ...]
-) -> tuple[Disturbance, Fits]:
+    one: Disturbance[Regressor], low: Sequence[Block], plain: Ordinates, taken: tuple[Regressor, ...]
+) -> tuple[Disturbance[Regressor], Fits]:
     """Return a shape and the fit with it.
 
     The spectrum without a warm-up contains its power, so its time constant is searched again.
     """
-    base = _fits(low, [(*names, *one.names)])
-    if one.kind != "warm-up":
+    base = _fits(low, [(*taken, *one.regressors)])
+    if not isinstance(one.shape, WarmUp):
         return one, base
-    whitened = Whitened.by(low, base.unfiltered(plain), ("R", *names))
+    whitened = Whitened.by(low, base.unfiltered(plain), (Ramp(), *taken))
     one = _warm_up(whitened, low[-1].offset + low[-1].bins.n)[1]
-    return one, _fits(low, [(*names, *one.names)])
+    return one, _fits(low, [(*taken, *one.regressors)])
 
 
-def _sized(found: Sequence[Disturbance], fits: Fits, row: int = 0) -> tuple[Disturbance, ...]:
+def _sized(
+    found: Sequence[Disturbance[Regressor]], fits: Fits, row: int = 0
+) -> tuple[Disturbance[Regressor], ...]:
     beta = dict(zip(fits.models.names, fits.beta[row].tolist(), strict=True))
-    return tuple(replace(one, size=tuple(beta[name] for name in one.names)) for one in found)
+    return tuple(replace(one, size=tuple(beta[shape.name] for shape in one.regressors)) for one in found)
 
 
-def _fits(low: Sequence[Block], sets: Sequence[tuple[str, ...]], structure: Structure = _STRUCTURE) -> Fits:
-    names = ("R", *dict.fromkeys(name for names in sets for name in names))
-    ordinates = bin_blocks(low, 1.0, names)
+def _fits(
+    low: Sequence[Block], sets: Sequence[tuple[Regressor, ...]], structure: Structure = _STRUCTURE
+) -> Fits:
+    shapes = dict.fromkeys(shape for regressors in sets for shape in regressors)
+    ordinates = bin_blocks(low, 1.0, (Ramp(), *shapes))
     seen = ordinates[ordinates.size > 0]
-    has = np.array([[name in {"R", *own} for name in names] for own in sets])
-    models = replace(models_of([structure] * len(sets), names), regressors=has)
+    has = np.array([[shape in {Ramp(), *own} for shape in ordinates.regressors] for own in sets])
+    models = replace(models_of([structure] * len(sets), ordinates.names), regressors=has)
     return fit_blindly(seen, models, keep=(1, 2, 2), tolerance=1e-2)
 
 
-def _candidates(whitened: Whitened, length: int, found: Sequence[Disturbance]) -> Iterator[Disturbance]:
+def _candidates(
+    whitened: Whitened, length: int, found: Sequence[Disturbance[Regressor]]
+) -> Iterator[Disturbance[Regressor]]:
     """Yield the best shape of each kind, except steps, if it may be worth a fit."""
     price = np.log(length)
-    families: list[list[Disturbance]] = []
-    once = {one.kind for one in found}
+    families: list[list[Disturbance[TemperatureEffect]]] = []
     measured = all(b.temperature is not None and np.ptp(b.temperature) > 0 for b in whitened.blocks)
-    if measured and "temperature" not in once:
-        families.append([Disturbance(kind="temperature", names=("temperature",), price=price)])
-        names = [f"temperature:{lag!r}" for lag in (_LAGS * length).tolist()]
-        families.append([Disturbance(kind="temperature", names=(name,), price=2 * price) for name in names])
+    if measured and not with_shape(found, TemperatureEffect):
+        lags = [TemperatureEffect(lag=lag) for lag in (_LAGS * length).tolist()]
+        families.append([Disturbance(regressors=(TemperatureEffect(),), price=price)])
+        families.append([Disturbance(regressors=(lag,), price=2 * price) for lag in lags])
     for slow in (False, True):
         gain, cycle = best_cycle(whitened, length, slow=slow)
         if gain > _SMOOTH_WORTH_A_FIT:
             yield cycle
-    if "warm-up" not in once:
+    if not with_shape(found, WarmUp):
         gain, warm_up = _warm_up(whitened, length)
         if gain > _SMOOTH_WORTH_A_FIT:
             yield warm_up
     for shapes in families:
-        gains = [whitened.gain(shape.names) for shape in shapes]
+        gains = [whitened.gain(shape.regressors) for shape in shapes]
         best = int(np.argmax(gains))
         if gains[best] > _WORTH_A_FIT:
             yield shapes[best]
 
 
-def _warm_up(whitened: Whitened, length: int) -> tuple[float, Disturbance]:
+def _warm_up(whitened: Whitened, length: int) -> tuple[float, Disturbance[WarmUp]]:
     lowest, best, gain = whitened.lowest(), 1.0, 0.0
     for factors in (_WARM_UPS * length, _NEAR_WARM_UPS):
         times = best * factors
-        gains = lowest.gains_alone([f"exp:{time!r}" for time in times.tolist()])
+        gains = lowest.gains_alone([WarmUp(time_constant=time) for time in times.tolist()])
         row = int(np.argmax(gains))
         best, gain = float(times[row]), float(gains[row])
-    return gain, Disturbance(kind="warm-up", names=(f"exp:{best!r}",), price=_PRICE_WARM_UP)
+    return gain, Disturbance(regressors=(WarmUp(time_constant=best),), price=_PRICE_WARM_UP)
 
 
 def _rival(
-    low: Sequence[Block], plain: Ordinates, base: Fits, found: Sequence[Disturbance]
-) -> tuple[Disturbance, ...]:
+    low: Sequence[Block], plain: Ordinates, base: Fits, found: Sequence[Disturbance[Regressor]]
+) -> tuple[Disturbance[Regressor], ...]:
     """Return the warm-up or slow cycle that explains a record as well as a random walk does, or ()."""
     theta, length = base.theta.copy(), low[-1].offset + low[-1].bins.n
     theta[:, [COLUMN["K"], SHAPED]] = _ABSENT
     still = replace(base, theta=theta).unfiltered(plain)
     if np.max(base.unfiltered(plain) / still) < _NO_WALK:
         return ()
-    names = tuple(name for one in found for name in one.names)
-    whitened = Whitened.by(low, still, ("R", *names))
-    rivals = {best_cycle(whitened, length, slow=True)[1]: _RIVAL_CYCLE}
-    if all(one.kind != "warm-up" for one in found):
+    taken = regressors_of(found)
+    whitened = Whitened.by(low, still, (Ramp(), *taken))
+    rivals: dict[Disturbance[Regressor], float] = {best_cycle(whitened, length, slow=True)[1]: _RIVAL_CYCLE}
+    if not with_shape(found, WarmUp):
         rivals[_warm_up(whitened, length)[1]] = _RIVAL_WARM_UP
-    fits = _fits(low, [(*names, *one.names) for one in rivals], ("N", "B", "R"))
+    fits = _fits(low, [(*taken, *one.regressors) for one in rivals], ("N", "B", "R"))
     excess = 2 * (base.objective[0] - fits.objective) - np.array([*rivals.values()])
     row = int(np.argmax(excess))
     return _sized([[*rivals][row]], fits, row) if excess[row] > 0 else ()
 
 
 def _step(
-    whitened: Whitened, apart: float, found: Sequence[Disturbance], exact: ExactPlace | None
-) -> Iterator[Disturbance]:
-    taken = [one.value for one in found if one.kind == "step"]
+    whitened: Whitened, apart: float, found: Sequence[Disturbance[Regressor]], exact: ExactPlace | None
+) -> Iterator[Disturbance[Step]]:
+    taken = [one.shape.place for one in with_shape(found, Step)]
     place, gain, choice = whitened.step(taken, apart)
     if gain <= _WORTH_A_FIT:
         return
-    place = round(place) if exact is None else exact(place, taken, apart)
+    nearest = round(place) if exact is None else exact(place, taken, apart)
     price = 2 * np.log(max(choice, 1.0) / _CHANCE_STEP) - _MARGIN
-    yield Disturbance(kind="step", names=(f"step:{place}",), price=price)
+    yield Disturbance(regressors=(Step(place=nearest),), price=price)
 
 
-def best_cycle(whitened: Whitened, length: int, *, slow: bool = False) -> tuple[float, Disturbance]:
+def best_cycle(whitened: Whitened, length: int, *, slow: bool = False) -> tuple[float, Disturbance[Wave]]:
     """Return the gain and shape of the best cycle, or slow cycle."""
     unit = 2 * np.pi / length
     fewest, most = (_MIN_SLOW_PERIODS, _MIN_PERIODS) if slow else (_MIN_PERIODS, _MAX_PERIODS)
@@ -238,9 +261,7 @@ def best_cycle(whitened: Whitened, length: int, *, slow: bool = False) -> tuple[
     best = int(np.argmax(gains))
     omega = float(unit * fine[best])
     price = _PRICE_SLOW_CYCLE if slow else _PRICE_CYCLE
-    return float(gains[best]), Disturbance(
-        kind="cycle", names=(f"cos:{omega!r}", f"sin:{omega!r}"), price=price
-    )
+    return float(gains[best]), Disturbance(regressors=Wave.pair(omega), price=price)
 
 
 #: Accuracy of the search, as a share of the record.
