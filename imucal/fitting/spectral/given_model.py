@@ -188,8 +188,10 @@ def _parts(fit: BinFit, columns: list[int]) -> tuple[Parts, FloatArray]:
     return parts, theta[0, : models.variances] + np.log(factor)
 
 
-#: Gain in log-likelihood that ends the search for squared coefficients; rounds of the reference.
-_CLOSE, _ROUNDS = 1e-9, 100
+#: Gain in log-likelihood that ends the search for squared coefficients: far below any error.
+_CLOSE = 1e-9
+#: Largest number of rounds of the reference.
+_ROUNDS = 100
 #: Deviations subtracted from an estimate before it enters the weights.
 _SURE = 2.0
 #: A deviation's growth is computed up to the estimate, at least this many deviations.

@@ -30,12 +30,16 @@ from imucal.noise.model import NoiseModel
 from imucal.noise.terms import term_keys
 from imucal.recording import AxisSeries
 
-#: Fewest samples of a segment, and of its parts.
-_MIN_SAMPLES, _MIN_PART_SAMPLES = 2048, 64
+#: Fewest samples of a segment: its white noise then has an error of 1.6 %.
+_MIN_SAMPLES = 2048
+#: Fewest samples of a part of a segment between long gaps, as of a block.
+_MIN_PART_SAMPLES = 64
 #: Least number of segments for the tests.
 _MIN_SEGMENTS = 3
-#: Single bins and bins per octave; the model's mean over a bin is exact.
-_SINGLES, _PER_OCTAVE = 16, 12
+#: Single bins of a segment: fewer than in a fit, because the model's mean over a bin is exact.
+_SINGLES = 16
+#: Bins per octave of a segment, few for the same reason.
+_PER_OCTAVE = 12
 #: Least number of ordinates to leave out on each side of a line.
 _REACH = 3
 

@@ -21,8 +21,9 @@ from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
 from imucal.frozen import frozen
 from imucal.recording import AxisSeries
 
-#: A rich model, and the number of ordinates that contain slow shapes.
+#: A rich model, so that a shape gains only what no noise explains.
 _STRUCTURE = ("N", "B", "GM", "K", "R")
+#: Number of the lowest ordinates, which contain slow shapes.
 _LOWEST = 4000
 #: Time constants of a warm-up, as parts of the record.
 _WARM_UPS = np.geomspace(0.01, 2.0, 12)
@@ -30,14 +31,18 @@ _WARM_UPS = np.geomspace(0.01, 2.0, 12)
 _NEAR_WARM_UPS = np.geomspace(1 / 1.5, 1.5, 9)
 #: Lags of a temperature, as parts of the record.
 _LAGS = np.geomspace(3e-4, 0.1, 16)
-#: Periods per record of cycles: fewer are drifts, more are lines.
-_MIN_PERIODS, _MAX_PERIODS = 2.0, 24.0
-#: Fewest periods per record of a slow cycle.
+#: Fewest periods per record of a cycle: with fewer, it is a slow cycle.
+_MIN_PERIODS = 2.0
+#: Most periods per record of a cycle: with more, it is a line.
+_MAX_PERIODS = 24.0
+#: Fewest periods per record of a slow cycle: with fewer, it is a drift.
 _MIN_SLOW_PERIODS = 0.7
 #: Number of ordinates for a slow cycle.
 _OF_SLOW = 128
-#: Spacing of the periods per record: of the search, and around its peak.
-_SPACING, _FINE = 0.25, 1 / 64
+#: Spacing of the search in periods per record: a peak is about one period wide.
+_SPACING = 0.25
+#: Spacing around the peak of the search.
+_FINE = 1 / 64
 #: Least gain beyond the price, in twice the log-likelihood.
 _MARGIN = 7.0
 #: False alarm rate of steps in clean records of known spectrum.
@@ -46,10 +51,14 @@ _CHANCE_STEP = 0.002
 _PRICE_CYCLE = 16.0
 #: Gain beyond its price from which a cycle is doubtful.
 _DOUBT = -0.5
-#: Price of a slow cycle, which a random walk often resembles, and of a warm-up.
-_PRICE_SLOW_CYCLE, _PRICE_WARM_UP = 20.0, 20.0
-#: Gain on the rich model from which a warm-up or slow cycle is as likely as a walk.
-_RIVAL_WARM_UP, _RIVAL_CYCLE = 5.0, 14.0
+#: Price of a slow cycle, which a random walk often resembles.
+_PRICE_SLOW_CYCLE = 20.0
+#: Price of a warm-up, which a random walk resembles too.
+_PRICE_WARM_UP = 20.0
+#: Gain on the rich model from which a warm-up is as likely as a walk.
+_RIVAL_WARM_UP = 5.0
+#: The same of a slow cycle, which has one more coefficient.
+_RIVAL_CYCLE = 14.0
 #: Ratio of the spectra with and without a walk from which there is one.
 _NO_WALK = 2.0
 #: Logarithm of a variance that is zero.
@@ -58,9 +67,10 @@ _ABSENT = -300.0
 _CAUSED = 0.9
 #: Steps nearer than the record's length over this are collinear.
 _MAX_PLACES = 65536
-#: Least gain, at the spectrum without the shape, for a fit; less for slow cycles and warm-ups, because this
-#: spectrum contains their power.
-_WORTH_A_FIT, _SMOOTH_WORTH_A_FIT = 15.0, 9.0
+#: Least gain of a shape, at the spectrum without it, for a fit.
+_WORTH_A_FIT = 15.0
+#: The same of a cycle or warm-up: less, because the spectrum contains its power.
+_SMOOTH_WORTH_A_FIT = 9.0
 #: Largest number of shapes to take out.
 _MAX_SHAPES = 8
 
