@@ -145,7 +145,8 @@ def find_disturbances(
         net = gains - np.array([one.price for one in candidates])
         cycle = np.array([isinstance(one.shape, Wave) for one in candidates])
         caused = ~cycle & (net > _MARGIN) & (gains > _CAUSED * gains.max())
-        best = int(np.argmax(np.where(caused, net, -np.inf) if caused.any() else net))
+        allowed = caused if caused.any() else np.ones(net.size, dtype=bool)
+        best = int(np.argmax(np.where(allowed, net, -np.inf)))
         if net[best] <= _MARGIN:
             likely = np.where(cycle, net, -np.inf)
             row = int(np.argmax(likely))
@@ -158,25 +159,29 @@ def find_disturbances(
 
 
 def _taken_out(
-    one: Disturbance[Regressor], low: Sequence[Block], plain: Ordinates, taken: tuple[Regressor, ...]
+    strongest: Disturbance[Regressor], low: Sequence[Block], plain: Ordinates, taken: tuple[Regressor, ...]
 ) -> tuple[Disturbance[Regressor], Fits]:
-    """Return a shape and the fit with it.
+    """Return the strongest disturbance and the fit with it.
 
     The spectrum without a warm-up contains its power, so its time constant is searched again.
     """
-    base = _fits(low, [(*taken, *one.regressors)])
-    if not isinstance(one.shape, WarmUp):
-        return one, base
+    base = _fits(low, [(*taken, *strongest.regressors)])
+    if not isinstance(strongest.shape, WarmUp):
+        return strongest, base
     whitened = Whitened.by(low, base.unfiltered(plain), (Ramp(), *taken))
-    one = _warm_up(whitened, low[-1].offset + low[-1].bins.n)[1]
-    return one, _fits(low, [(*taken, *one.regressors)])
+    _, warm_up = _warm_up(whitened, low[-1].offset + low[-1].bins.n)
+    return warm_up, _fits(low, [(*taken, *warm_up.regressors)])
 
 
 def _sized(
     found: Sequence[Disturbance[Regressor]], fits: Fits, row: int = 0
 ) -> tuple[Disturbance[Regressor], ...]:
-    beta = dict(zip(fits.models.names, fits.beta[row].tolist(), strict=True))
-    return tuple(replace(one, size=tuple(beta[shape.name] for shape in one.regressors)) for one in found)
+    coefficients = dict(zip(fits.models.names, fits.beta[row].tolist(), strict=True))
+    sized = []
+    for disturbance in found:
+        size = tuple(coefficients[regressor.name] for regressor in disturbance.regressors)
+        sized.append(replace(disturbance, size=size))
+    return tuple(sized)
 
 
 def _fits(
