@@ -11,6 +11,7 @@ import pytest
 from imucal.clock import Clock
 from imucal.errors import ArgumentError, DataError
 from imucal.findings import Finding
+from imucal.fitting.regressors import TemperatureEffect
 from imucal.noise import NoiseModel
 from imucal.pipeline import Settings, _workers, characterize, screen
 from imucal.readers import read
@@ -229,7 +230,7 @@ def test_a_temperature_with_its_own_clock_is_interpolated() -> None:
     assert [(f.code, f.level) for f in axis.findings if f.code in {"temperature", "cycle"}] == [
         ("temperature", "info")
     ]
-    assert axis.fit.taken_out["temperature"] == pytest.approx(5e-4, rel=0.02)
+    assert axis.fit.taken_out[TemperatureEffect()] == pytest.approx(5e-4, rel=0.02)
     assert ("temperature", "warning", "gyro_x") in {(f.code, f.level, f.axis) for f in screen(log)}
 
 

@@ -32,13 +32,6 @@ if TYPE_CHECKING:
     from imucal.fitting.noise_fit import NoiseFit
     from imucal.report.out_folder import FilesOfFolder
 
-_SHAPES = {
-    "exp": "a warm-up",
-    "step": "a step",
-    "cos": "a cycle",
-    "sin": "a cycle",
-    "temperature": "the effect of temperature",
-}
 _AXES = tuple(f"{sensor.short}_{axis}" for sensor in Sensor for axis in "xyz")
 
 
@@ -157,11 +150,12 @@ def _decompose_axis(
 ) -> dict[str, object]:  # fmt: skip
     """Decompose one axis and write its files; return its entry of the document."""
     from imucal.fitting.decomposition import decompose
+    from imucal.fitting.regressors import parse
     from imucal.report.figure_bias import axis_document, write_decomposition
 
     taken = fit.settings.get("regressors")
     if isinstance(taken, list) and taken:
-        named = dict.fromkeys(_SHAPES[str(name).partition(":")[0]] for name in taken)
+        named = dict.fromkeys(parse(str(name)).description for name in taken)
         text = f"the fit removed {' and '.join(named)}; the bias shown here still contains it"
         print_note(f"{series.name}: {text}")
     with progress(f"decomposing {series.name}", "TaskProgressColumn") as update:

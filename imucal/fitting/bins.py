@@ -29,9 +29,9 @@ class Bins(ReadOnlyArrays):
     and ends where the next bin begins. It has `size` degrees of freedom and `power`, the sum of its squared
     ordinates in units of `scale`².
 
-    `names` are the regressors: ``R``, then the shapes that the fit took out. `cross`, shape (r, b), are sums
-    of ordinate times regressor's ordinate, and `gram`, shape (r, r, b), of regressors' products. `scale` is U
-    per scaled unit. `widening` is the factor by which heavy tails widen N's interval.
+    `names` are those of the regressors: ``R``, then the shapes that the fit took out. `cross`, shape (r, b),
+    are sums of ordinate times regressor's ordinate, and `gram`, shape (r, r, b), of regressors' products.
+    `scale` is U per scaled unit. `widening` is the factor by which heavy tails widen N's interval.
     """
 
     n: IntArray
@@ -64,8 +64,10 @@ class Bins(ReadOnlyArrays):
 
 #: Version of the packed format, its first byte.
 PACKED_VERSION = 2
-#: Rounds of weighted least squares for the reference; bins averaged for a weight.
-_ROUNDS, _SMOOTH = 4, 9
+#: Rounds of weighted least squares for the reference, which need not be exact.
+_ROUNDS = 4
+#: Bins averaged for a weight: a single bin of one ordinate scatters too much.
+_SMOOTH = 9
 #: Versions; numbers of blocks, regressors, bins, bytes of names; scale, tau0, widening.
 _HEAD = struct.Struct("<BBHHIIddd")
 

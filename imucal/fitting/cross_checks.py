@@ -121,12 +121,10 @@ def without_disturbances(
     series: AxisSeries, first: NoiseFit, temperature: FloatArray | None = None
 ) -> AxisSeries:
     """Return finite samples minus the shapes that a fit took out."""
-    from imucal.fitting.spectral.ordinates import regressor_samples
-
     places = series.clock.grid().astype(np.float64)
     samples = series.samples.copy()
-    for name, size in first.taken_out.items():
-        samples -= size * regressor_samples(name, places, temperature)
+    for regressor, coefficient in first.taken_out.items():
+        samples -= coefficient * regressor.samples(places, temperature)
     return replace(series, samples=samples)
 
 
@@ -134,8 +132,12 @@ def without_disturbances(
 _LOWEST = 8
 #: Score from which the spectrum contradicts the model.
 _CONTRADICTED = 5.0
-#: A bin is far from the model by this many deviations and this factor; fewer far bins are a line.
-_HIDDEN, _NOTABLE, _MIN_BINS = 3.0, 1.3, 3
+#: Deviations from which a bin is far from the model: by chance one of 370 is.
+_HIDDEN = 3.0
+#: Factor from which a bin is far from the model: 14 % of a coefficient.
+_NOTABLE = 1.3
+#: Fewest far bins: fewer are a line.
+_MIN_BINS = 3
 #: Difference of log densities that the estimates' own errors can explain.
 _TOLERANCE = 0.05
 

@@ -12,6 +12,7 @@ from imucal.display import Displayed
 from imucal.errors import ArgumentError, MissingError
 from imucal.findings import Finding
 from imucal.fitting.bins import Bins
+from imucal.fitting.regressors import Regressor
 from imucal.frozen import frozen, frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
@@ -271,8 +272,8 @@ class NoiseFit(Displayed):
         The model's share of each of the curve's Allan variances, shape (k,). None without an output
         filter and lines.
     taken_out
-        Regressors that were removed from the samples -> coefficients in U; the names are those of
-        `imucal.fitting.spectral.ordinates`.
+        Shapes that were removed from the samples -> coefficients in U; `imucal.fitting.regressors` lists
+        them.
     segments
         Changes of the terms within the record; None if not tested.
     bins
@@ -296,7 +297,7 @@ class NoiseFit(Displayed):
     findings: tuple[Finding, ...] = ()
     settings: Mapping[str, object] = field(default_factory=dict)
     noise_share: FloatArray | None = None
-    taken_out: Mapping[str, float] = field(default_factory=dict)
+    taken_out: Mapping[Regressor, float] = field(default_factory=dict)
     segments: Segments | None = None
     bins: Bins | None = None
 

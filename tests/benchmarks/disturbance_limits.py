@@ -17,8 +17,9 @@ import numpy as np
 
 import imucal
 from imucal.allan.dct import dct_bins, dct_ordinates
+from imucal.fitting.regressors import Ramp, Step
 from imucal.fitting.spectral.blocks import Block, bin_blocks
-from imucal.fitting.spectral.disturbances.shapes import best_cycle, find_disturbances
+from imucal.fitting.spectral.disturbances.shapes import best_cycle, find_disturbances, with_shape
 from imucal.fitting.spectral.disturbances.whitened import Whitened
 from imucal.noise.term import PowerLawTerm
 from tests.benchmarks.disturbances import (
@@ -59,7 +60,7 @@ def step_gain(samples: Array, text: str) -> tuple[float, bool]:
     variance = np.array([own.get(symbol, 0.0) for symbol in "QNBK"])
     spectrum = variance @ bin_blocks([block], 1.0).basis
     _, gain, _ = Whitened.by([block], spectrum, ()).step()
-    return gain, any(one.kind == "step" for one in find_disturbances([block_of(1e4 * samples)])[0])
+    return gain, bool(with_shape(find_disturbances([block_of(1e4 * samples)])[0], Step))
 
 
 def steps(records: int, seed: int) -> None:
@@ -94,7 +95,7 @@ def cycles(records: int, seed: int) -> None:
 
         def gains(samples: Array, period_s: float, variance: Array = variance) -> tuple[float, float]:
             block = block_of(samples).lowest(4000)
-            whitened = Whitened.by([block], variance @ bin_blocks([block], 1.0).basis, ("R",))
+            whitened = Whitened.by([block], variance @ bin_blocks([block], 1.0).basis, (Ramp(),))
             known = whitened.cycles(np.array([2 * np.pi / (period_s * RATE)]))
             return best_cycle(whitened, N_SHORT)[0], float(known[0])
 
@@ -130,7 +131,9 @@ def clean(records: int, seed: int) -> None:
             rng = np.random.default_rng([seed, number, n])
             for _ in range(records):
                 samples = noise(text, n, rng)
-                found.update({one.kind for one in find_disturbances([block_of(1e4 * samples)])[0]})
+                found.update(
+                    {one.shape.description for one in find_disturbances([block_of(1e4 * samples)])[0]}
+                )
             print(f"| {text} | {n} | {dict(found)} |", flush=True)
 
 

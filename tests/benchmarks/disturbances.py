@@ -255,7 +255,7 @@ def cycles(records: int, seed: int) -> None:
             rng = np.random.default_rng([seed, number, record, 2])
             series = AxisSeries.from_samples(noise(text, N_SHORT, rng), rate_hz=RATE)
             named, doubtful = find_disturbances(make_blocks(series).blocks, exact=exact_places(series))
-            codes.update({one.kind for one in named} | {"doubtful" for _ in doubtful})
+            codes.update({one.shape.description for one in named} | {"doubtful" for _ in doubtful})
         print(f"| clean {text} | {10 * records} | {dict(codes)} |", flush=True)
 
 

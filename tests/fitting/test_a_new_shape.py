@@ -1,4 +1,4 @@
-"""Tests of fits of terms that imucal does not contain: a class in the table of terms is enough."""
+"""Tests of fits of terms and regressors that imucal does not contain: a class in a table is enough."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -9,6 +9,10 @@ import pytest
 import imucal
 from imucal.arrays import FloatArray
 from imucal.fitting import METHODS, NoiseFit
+from imucal.fitting.bins import pack, unpack
+from imucal.fitting.regressors import SHAPES, Ramp, Regressor
+from imucal.fitting.spectral.blocks import bins_of, make_blocks
+from imucal.fitting.spectral.given_model import fit_bins
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import Description, NoiseTerm, Stroke
 from imucal.noise.terms import TERMS, GaussMarkov
@@ -168,3 +172,39 @@ def test_the_fast_gauss_markov_shape_agrees_with_the_generic_one() -> None:
     quick = GaussMarkov.dct_shapes(logs, lam, length, sign)
     plain = super(GaussMarkov, GaussMarkov).dct_shapes(logs, lam, length, sign)
     np.testing.assert_allclose(plain, quick, rtol=1e-9)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kink(Regressor):
+    """Zero before a place, a rise of 1 per sample from it on; without a closed form of its ordinates."""
+
+    description = "a kink"
+    place: int
+
+    @property
+    def name(self) -> str:
+        return f"kink:{self.place}"
+
+    def samples(self, places: FloatArray, _temperature: FloatArray | None = None, /) -> FloatArray:
+        return np.maximum(places - self.place, 0.0)
+
+
+def test_a_new_regressor_needs_only_a_name_and_samples(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The likelihood removes it, also from stored bins; without it the drift would be a random walk."""
+    monkeypatch.setitem(SHAPES, "kink", lambda number: Kink(place=int(number)))
+    n, kink, slope = 30_000, Kink(place=12_000), 1e-6
+    drawn = NoiseModel.parse("N=1e-3").simulate(n, rate_hz=RATE_HZ, rng=np.random.default_rng(7))
+    samples = drawn + slope * kink.samples(np.arange(n, dtype=np.float64))
+    series = AxisSeries.from_samples(samples, rate_hz=RATE_HZ)
+    blocks = make_blocks(series)
+    fits = []
+    for regressors in ((Ramp(), kink), (Ramp(),)):
+        bins = bins_of(blocks.binned(regressors), blocks, tau0=series.tau0, widening=1.0)
+        fits.append(fit_bins([unpack(pack(bins))], ("N", "K"), level=0.95))
+    removed, left = fits
+    assert removed.problem.ordinates.regressors == (Ramp(), kink)
+    assert removed.whole.beta[0, 1] * blocks.scale == pytest.approx(slope, rel=0.02)
+    found = {estimate.key: estimate for estimate in removed.estimates}
+    assert found["N"].low <= 1e-3 <= found["N"].high
+    assert found["K"].value is None
+    assert next(estimate for estimate in left.estimates if estimate.key == "K").value is not None

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from imucal.allan.dct import DctBins, Transform, dct_bins, fast_length, ramp_ordinates, run_ordinates
+from imucal.allan.dct import DctBins, Transform, dct_bins, fast_length, run_ordinates
 from imucal.allan.engine import refuse_tiny
 from imucal.allan.variance import Run, runs_of
 from imucal.arrays import BoolArray, FloatArray, IntArray
@@ -19,12 +19,15 @@ from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.fitting.bins import Bins
 from imucal.fitting.noise_fit import Line
+from imucal.fitting.regressors import Ramp, Regressor, Stretch, parse
 from imucal.fitting.spectral.disturbances.gaps import complete
 from imucal.fitting.spectral.disturbances.lines import find_lines, with_sines, without_strong_lines
-from imucal.fitting.spectral.ordinates import Ordinates, bin_shapes, regressor_ordinates
+from imucal.fitting.spectral.ordinates import Ordinates, bin_shapes
 from imucal.frozen import frozen_alone
 from imucal.recording import AxisSeries
 
+#: Regressors of a record without disturbances.
+_RAMP = (Ramp(),)
 #: Ratio of second to first differences below which there is no noise.
 _STRAIGHT = 1e-9
 #: Fewest samples of a record and of a block.
@@ -77,16 +80,18 @@ class Block:
     temperature: FloatArray | None = None
     drawn: FloatArray | None = None
 
-    def regressor_parts(self, name: str) -> Callable[[slice], FloatArray]:
-        """Return a function for parts of a regressor's ordinates; a ramp is never stored whole."""
-        if name == "R":
-            return lambda part: ramp_ordinates(self.bins.n, part.stop - part.start, first=part.start + 1)
-        return self.regressor(name).__getitem__
+    @property
+    def stretch(self) -> Stretch:
+        """The places of the samples, and their temperature."""
+        return Stretch(n=self.bins.n, offset=self.offset, temperature=self.temperature)
 
-    def regressor(self, name: str) -> FloatArray:
-        return regressor_ordinates(
-            name, self.bins.n, self.ordinates.size, offset=self.offset, temperature=self.temperature
-        )
+    def parts_of(self, regressor: Regressor) -> Callable[[slice], FloatArray]:
+        """Return a function that returns a part of a regressor's ordinates in this block."""
+        return regressor.parts(self.stretch, self.ordinates.size)
+
+    def ordinates_of(self, regressor: Regressor) -> FloatArray:
+        """Return a regressor's ordinates in this block, shape (k,)."""
+        return regressor.ordinates(self.stretch, self.ordinates.size)
 
     def lowest(self, count: int) -> "Block":
         """Return the block of the lowest bins only, of at least `count` ordinates in all."""
@@ -115,10 +120,10 @@ class SeriesBlocks:
     #: Whether most samples were completed.
     sparse: bool = False
 
-    def binned(self, names: tuple[str, ...] = ("R",)) -> Ordinates:
-        """Return the binned ordinates of all groups, with regressors of these names."""
+    def binned(self, regressors: Sequence[Regressor] = _RAMP) -> Ordinates:
+        """Return the binned ordinates of all groups, with these regressors."""
         return Ordinates.joined(
-            [_summed([_binned(block, self.scale, names) for block in group]) for group in self.groups]
+            [_summed([_binned(block, self.scale, regressors) for block in group]) for group in self.groups]
         )
 
 
@@ -351,16 +356,16 @@ def _gap_findings(series: AxisSeries, runs: list[Run], *, trials: bool) -> tuple
 
 
 #: Fields of the ordinates that a result keeps.
-_KEPT = ("size", "power", "names", "cross", "gram")
+_KEPT = ("size", "power", "cross", "gram")
 #: Fields of the ordinates that are sums over ordinates.
 _SUMMED = ("size", "power", "cross", "gram")
 #: Square of the relative rounding error of a transform.
 _ROUNDING = 1e-28
 
 
-def bin_blocks(blocks: Sequence[Block], scale: float, names: tuple[str, ...] = ("R",)) -> Ordinates:
-    """Return the binned ordinates of all blocks."""
-    return Ordinates.joined([_binned(block, scale, names) for block in blocks])
+def bin_blocks(blocks: Sequence[Block], scale: float, regressors: Sequence[Regressor] = _RAMP) -> Ordinates:
+    """Return the binned ordinates of all blocks, with these regressors."""
+    return Ordinates.joined([_binned(block, scale, regressors) for block in blocks])
 
 
 def _summed(parts: Sequence[Ordinates]) -> Ordinates:
@@ -371,12 +376,13 @@ def _summed(parts: Sequence[Ordinates]) -> Ordinates:
     return replace(parts[0], **sums)
 
 
-def _binned(block: Block, scale: float, names: tuple[str, ...]) -> Ordinates:
+def _binned(block: Block, scale: float, regressors: Sequence[Regressor]) -> Ordinates:
     bins = block.bins
-    vectors = [block.regressor_parts(name) for name in names]
+    vectors = [block.parts_of(regressor) for regressor in regressors]
+    number = len(regressors)
     size, power = np.empty((2, bins.size))
-    cross = np.empty((len(names), bins.size))
-    gram = np.empty((len(names), len(names), bins.size))
+    cross = np.empty((number, bins.size))
+    gram = np.empty((number, number, bins.size))
     whole = 0.0
     for here, seen, starts in bins.parts():
         kept = None if block.kept is None else block.kept[seen]
@@ -401,7 +407,13 @@ def _binned(block: Block, scale: float, names: tuple[str, ...]) -> Ordinates:
         keep = np.square(1 - block.loss)
         size, power, cross, gram = size * keep, power * keep, cross * keep, gram * keep
     return Ordinates(
-        scale=scale, names=names, size=size, power=power, cross=cross, gram=gram, **bin_shapes(bins)
+        scale=scale,
+        regressors=tuple(regressors),
+        size=size,
+        power=power,
+        cross=cross,
+        gram=gram,
+        **bin_shapes(bins),
     )
 
 
@@ -415,35 +427,39 @@ def bins_of(whole: Ordinates, blocks: SeriesBlocks, *, tau0: float, widening: fl
         scale=blocks.scale,
         tau0=tau0,
         widening=widening,
+        names=whole.names,
         **{name: getattr(whole, name) for name in _KEPT},
     )
 
 
 def ordinates_of(bins: Bins) -> Ordinates:
-    """Return the ordinates that `bins` were made of, bit for bit."""
+    """Return the ordinates that `bins` were made of, bit for bit; an unknown regressor is a DataError."""
     shapes = []
     for n, first in zip(bins.n.tolist(), np.split(bins.first, bins.start[1:]), strict=True):
         count = np.diff(first, append=n)
         omega = np.pi * (first + (count - 1) / 2) / n
         shapes.append(bin_shapes(DctBins(n=n, first=first, count=count, omega=omega)))
     joint: dict[str, Any] = {name: np.concatenate([s[name] for s in shapes], axis=-1) for name in shapes[0]}
-    return Ordinates(**joint, **{name: getattr(bins, name) for name in ("scale", *_KEPT)})
+    stored = {name: getattr(bins, name) for name in ("scale", *_KEPT)}
+    return Ordinates(regressors=tuple(map(parse, bins.names)), **joint, **stored)
 
 
 def joined(records: Sequence[Ordinates]) -> Ordinates:
     """Return the ordinates of several records as if of one record: their likelihoods multiply.
 
-    Regressors other than the ramp belong to one record, such as ``2:step@1000`` of the third.
+    The records share the ramp. Each other regressor belongs to one record; two records may have equal ones.
     """
-    names = ("R", *(f"{i}:{name}" for i, one in enumerate(records) for name in one.names[1:]))
+    regressors = (Ramp(), *(shape for one in records for shape in one.regressors[1:]))
+    number = len(regressors)
     parts, first = [], 1
     for one in records:
-        ratio, own = one.scale / records[0].scale, len(one.names) - 1
+        ratio, own = one.scale / records[0].scale, len(one.regressors) - 1
         rows = np.array([0, *range(first, first + own)])
-        cross = np.zeros((len(names), one.size.size))
-        gram = np.zeros((len(names), len(names), one.size.size))
+        cross = np.zeros((number, one.size.size))
+        gram = np.zeros((number, number, one.size.size))
         cross[rows] = one.cross * ratio
         gram[np.ix_(rows, rows)] = one.gram
-        parts.append(replace(one, names=names, power=one.power * ratio**2, cross=cross, gram=gram))
+        power = one.power * ratio**2
+        parts.append(replace(one, regressors=regressors, power=power, cross=cross, gram=gram))
         first += own
     return replace(Ordinates.joined(parts), scale=records[0].scale)

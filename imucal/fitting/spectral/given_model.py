@@ -166,7 +166,7 @@ def _parts(fit: BinFit, columns: list[int]) -> tuple[Parts, FloatArray]:
     models, theta = fit.whole.models, fit.whole.theta
     joint, count = Ordinates.joined(fit.records), len(fit.records)
     owner = np.repeat(np.arange(count), [one.size.size for one in fit.records])
-    rows = np.concatenate([np.zeros(count, dtype=np.int64), np.arange(1, len(joint.names))])
+    rows = np.concatenate([np.zeros(count, dtype=np.int64), np.arange(1, len(joint.regressors))])
     own = np.ones((rows.size, owner.size))
     own[:count] = owner == np.arange(count)[:, np.newaxis]
     spectra = derivatives(joint, models, theta)[: models.variances]
@@ -188,8 +188,10 @@ def _parts(fit: BinFit, columns: list[int]) -> tuple[Parts, FloatArray]:
     return parts, theta[0, : models.variances] + np.log(factor)
 
 
-#: Gain in log-likelihood that ends the search for squared coefficients; rounds of the reference.
-_CLOSE, _ROUNDS = 1e-9, 100
+#: Gain in log-likelihood that ends the search for squared coefficients: far below any error.
+_CLOSE = 1e-9
+#: Largest number of rounds of the reference.
+_ROUNDS = 100
 #: Deviations subtracted from an estimate before it enters the weights.
 _SURE = 2.0
 #: A deviation's growth is computed up to the estimate, at least this many deviations.

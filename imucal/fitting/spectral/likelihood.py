@@ -204,7 +204,10 @@ def regress(
     # Skip regressors that no model has.
     columns = np.flatnonzero(has.any(axis=0))
     seen = replace(
-        ordinates, gram=ordinates.gram[np.ix_(columns, columns)], cross=ordinates.cross[columns], names=()
+        ordinates,
+        gram=ordinates.gram[np.ix_(columns, columns)],
+        cross=ordinates.cross[columns],
+        regressors=(),
     )
     held = None if ramp is None else np.where(has[rows, 0], ramp[rows], np.nan)
     rest = np.array(rest)

@@ -27,6 +27,7 @@ from imucal.fitting.homogeneity import (
     widened_covariance,
 )
 from imucal.fitting.noise_fit import MISFIT, Estimate, Goodness, NoiseFit, Segments
+from imucal.fitting.regressors import Bump, LevelChange, Ramp, Regressor
 from imucal.fitting.robust import heavy_tails, resolution_effect, step_size
 from imucal.fitting.settings import FitSettings
 from imucal.fitting.spectral.blocks import SeriesBlocks, bins_of, make_blocks
@@ -50,7 +51,7 @@ from imucal.fitting.spectral.disturbances.not_noise import (
     tone_finding,
 )
 from imucal.fitting.spectral.disturbances.segments import fit_segments
-from imucal.fitting.spectral.disturbances.shapes import Disturbance
+from imucal.fitting.spectral.disturbances.shapes import Disturbance, regressors_of
 from imucal.fitting.spectral.disturbances.sparse import sparse_factor, sparse_finding, wrong_share
 from imucal.fitting.spectral.estimates import Problem, covariance_of, misfits_of, model_of
 from imucal.fitting.spectral.likelihood import Fits, spectra
@@ -79,7 +80,7 @@ class View:
     band: Band
     ordinates: Ordinates
     whole: Ordinates
-    doubtful: tuple[Disturbance, ...]
+    doubtful: tuple[Disturbance[Regressor], ...]
     findings: tuple[Finding, ...]
 
 
@@ -157,7 +158,7 @@ def fit_mle(
     nyquist = series.rate_hz / 2
     band_hz = (float(view.ordinates.fraction.min()) * nyquist, view.band.fraction * nyquist)
     coefficients = (fitted.beta[0] * view.whole.scale).tolist()
-    taken_out = dict(zip(view.whole.names[1:], coefficients[1:], strict=True))
+    taken_out = dict(zip(view.whole.regressors[1:], coefficients[1:], strict=True))
     return NoiseFit(
         method="mle",
         sensor=series.sensor,
@@ -177,7 +178,7 @@ def fit_mle(
         settings={
             "band_fraction": view.band.fraction,
             "response_coefficients": view.band.poles,
-            "regressors": [*taken_out],
+            "regressors": [regressor.name for regressor in taken_out],
         },
         noise_share=_noise_share(view, fitted, curve, series.rate_hz),
         taken_out=taken_out,
@@ -203,8 +204,8 @@ def _with_other_readings(
         return estimates
     if view.doubtful:
         # A second fit removes the doubtful warm-up or cycle too.
-        names = (*view.whole.names, *(name for one in view.doubtful for name in one.names))
-        other = view.band.select(view.blocks.binned(names))
+        regressors = (*view.whole.regressors, *regressors_of(view.doubtful))
+        other = view.band.select(view.blocks.binned(regressors))
         alternative = replace(problem, ordinates=other)
         estimates = either(
             estimates, hull_estimates(alternative, _choice(alternative, view.band, settings))[2]
@@ -218,7 +219,7 @@ def _with_other_readings(
 def _doubtful_findings(view: View, series: AxisSeries, plain: Sequence[Estimate]) -> tuple[Finding, ...]:
     """Return the findings about doubtful shapes; a change of level matters only if K is shown without it."""
     walk = any(one.symbol == "K" and one.low > 0 for one in plain)
-    doubtful = [one for one in view.doubtful if walk or one.kind not in {"level", "bump"}]
+    doubtful = [one for one in view.doubtful if walk or not isinstance(one.shape, LevelChange | Bump)]
     return doubtful_findings(doubtful, series, view.blocks.scale)
 
 
@@ -312,8 +313,7 @@ def spectral_view(
     """Return the part of the spectrum that a rich model describes."""
     blocks = make_blocks(series, temperature, transform)
     found, doubtful, findings = find_shapes(series, blocks)
-    common = tuple(name for one in found for name in one.names)
-    whole = blocks.binned(("R", *common))
+    whole = blocks.binned((Ramp(), *regressors_of(found)))
     corner = find_high_pass(whole)
     if corner is not None:
         whole = above_high_pass(whole, corner)

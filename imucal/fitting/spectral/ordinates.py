@@ -1,18 +1,6 @@
-"""The data of the likelihood: sums of squared DCT ordinates in bins, and regressors.
+"""The data of the likelihood: sums of squared DCT ordinates in bins, and their products with regressors."""
 
-A regressor is a slow, known shape that the fit removes by generalised least squares. Its name defines it;
-places and times are in samples, from the first sample of the record:
-
-    R                    the ramp
-    exp:<time>           exp(-t/time), a warm-up
-    step:<place>         0 before the place, 1 from it on
-    cos:<w>, sin:<w>     of w (t + 1/2), w in rad/sample: together a cycle
-    temperature[:<lag>]  the temperature, behind a first-order lag
-    level:<place>,<width>  a step at the place, smoothed by a normal curve of this standard deviation
-    bump:<place>,<width>   a normal curve around the place, of height 1
-"""
-
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -20,8 +8,9 @@ from typing import Any
 import numpy as np
 import scipy
 
-from imucal.allan.dct import DctBins, dct_ordinates, ramp_ordinates
+from imucal.allan.dct import DctBins
 from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
+from imucal.fitting.regressors import Ramp, Regressor
 from imucal.frozen import frozen_alone
 from imucal.powerlaw import PowerLaw
 
@@ -44,8 +33,8 @@ class Ordinates:
     `scale` is U per scaled unit: a power of two, so that scaling is exact. Each bin, shape (b,), has `size`
     degrees of freedom, `power`, the sum of their squares, `lam`, the mean of 4 sin²(theta/2), the `length` of
     its block in samples, and `sign`, (-1)^k for a single ordinate k and 0 for several. `basis`, shape (4, b),
-    is the expected square for a unit variance of each of `LAWS`. `cross` and `gram` are as in `Bins`. `top`
-    is lam at the end of the band.
+    is the expected square for a unit variance of each of `LAWS`. `cross` and `gram` are as in `Bins`, for the
+    `regressors`. `top` is lam at the end of the band.
     """
 
     scale: float
@@ -55,7 +44,7 @@ class Ordinates:
     length: FloatArray
     sign: FloatArray
     basis: FloatArray
-    names: tuple[str, ...]
+    regressors: tuple[Regressor, ...]
     cross: FloatArray
     gram: FloatArray
     top: float = 4.0
@@ -63,6 +52,11 @@ class Ordinates:
     @property
     def count(self) -> float:
         return float(self.size.sum())
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the regressors; that of the ramp is the symbol of the term R."""
+        return tuple(regressor.name for regressor in self.regressors)
 
     @property
     def samples(self) -> float:
@@ -115,9 +109,9 @@ class Ordinates:
 
     def detrended(self) -> "Ordinates":
         """Return the ordinates minus a roughly fitted ramp."""
-        if "R" not in self.names:
+        if Ramp() not in self.regressors:
             return self
-        at = self.names.index("R")
+        at = self.regressors.index(Ramp())
         weight = self.lam
         slope = (self.cross[at] @ weight) / (self.gram[at, at] @ weight)
         power = self.power - 2 * slope * self.cross[at] + slope**2 * self.gram[at, at]
@@ -182,144 +176,3 @@ def _merged(ordinates: Ordinates, first: IntArray) -> Ordinates:
         cross=np.add.reduceat(ordinates.cross, first, axis=-1),
         gram=np.add.reduceat(ordinates.gram, first, axis=-1),
     )
-
-
-def exponential_ordinates(n: int, count: int, time: float, offset: int) -> FloatArray:
-    """Return the ordinates k = 1 … count of exp(-(offset + t)/time), t = 0 … n-1.
-
-    With phi = exp(-1/time): sqrt(2/n) (1 - phi) cos(theta/2) (1 - (-1)^k phi^n) / den, and den = (1 - phi)² +
-    4 phi sin²(theta/2).
-    """
-    k = np.arange(1, count + 1, dtype=np.float64)
-    half = np.pi / (2 * n) * k
-    one_minus = -np.expm1(-1 / time)
-    ends = np.where(k % 2 == 1, 1 + np.exp(-n / time), -np.expm1(-n / time))
-    den = one_minus**2 + 4 * np.exp(-1 / time) * np.sin(half) ** 2
-    shape: FloatArray = np.sqrt(2 / n) * one_minus * np.cos(half) * ends / den
-    return float(np.exp(-offset / time)) * shape
-
-
-#: Number of temperature means per requested ordinate.
-_MEANS = 4
-
-
-def regressor_ordinates(
-    name: str, n: int, count: int, *, offset: int = 0, temperature: FloatArray | None = None
-) -> FloatArray:
-    """Return the ordinates k = 1 … count of a regressor in `n` samples from place `offset` on."""
-    if name.startswith(("level:", "bump:")):
-        kind, place, width = parsed_level(name)
-        theta = np.pi / n * np.arange(1.0, count + 1)
-        places = np.array([place - offset])
-        shape: FloatArray = level_ordinates(n, theta, places, width, bump=kind == "bump")[0]
-        return shape
-    kind, value = _parsed(name)
-    if kind == "temperature":
-        if temperature is None:
-            raise ValueError(f"regressor {name!r} needs the temperature of the samples, got none")
-        # Transform means over equal spans: fast, and the same at low frequencies.
-        spans = min(n, _MEANS * (count + 1))
-        if spans < n:
-            total = np.concatenate([[0.0], np.cumsum(temperature - temperature[0])])
-            edges = np.interp(np.linspace(0, n, spans + 1), np.arange(n + 1.0), total)
-            temperature = np.diff(edges) * (spans / n)
-        ordinates = dct_ordinates(lagged(temperature, value * spans / n))[:count]
-        return np.asarray(ordinates * np.sqrt(n / spans))
-    if kind in {"cos", "sin"}:
-        theta, quarter = np.pi / n * np.arange(1.0, count + 1), np.pi / 2 if kind == "sin" else 0.0
-        return cycle_ordinates(n, theta, value, value * offset - quarter)
-    closed: dict[str, Callable[[], FloatArray]] = {
-        "R": lambda: ramp_ordinates(n, count),
-        "exp": lambda: exponential_ordinates(n, count, value, offset),
-        "step": lambda: step_ordinates(n, count, value - offset),
-    }
-    return closed[kind]()
-
-
-def _parsed(name: str) -> tuple[str, float]:
-    kind, _, text = name.partition(":")
-    return kind, float(text or 0.0)
-
-
-def regressor_samples(name: str, places: FloatArray, temperature: FloatArray | None = None) -> FloatArray:
-    """Return the regressor at `places` from the first sample of the record."""
-    if name.startswith(("level:", "bump:")):
-        kind, place, width = parsed_level(name)
-        distance = (places - place) / width
-        if kind == "bump":
-            return np.asarray(np.exp(-0.5 * distance**2))
-        return np.asarray(scipy.special.ndtr(distance))
-    kind, value = _parsed(name)
-    if kind == "temperature" and temperature is not None:
-        return lagged(temperature, value)
-    shapes: dict[str, Callable[[], FloatArray]] = {
-        "R": lambda: places,
-        "exp": lambda: np.exp(-places / value),
-        "step": lambda: (places >= value).astype(np.float64),
-        "cos": lambda: np.cos(value * (places + 0.5)),
-        "sin": lambda: np.sin(value * (places + 0.5)),
-    }
-    return shapes[kind]()
-
-
-def parsed_level(name: str) -> tuple[str, float, float]:
-    """Return kind, place and width of a change of level or a bump."""
-    kind, _, text = name.partition(":")
-    place, _, width = text.partition(",")
-    return kind, float(place), float(width)
-
-
-def level_ordinates(n: int, theta: FloatArray, places: FloatArray, width: float, *, bump: bool) -> FloatArray:
-    """Return the ordinates at angles `theta` = pi k/n, shape (K,), of changes of level, shape (p, K).
-
-    A change of level is a step at one of the `places`, shape (p,), smoothed by a normal curve of the standard
-    deviation `width`, in samples; a bump is this curve itself, with height 1. Beyond the ends of the record
-    both are mirrored, as all that the cosine transform sees: then the smoothing is a factor of the ordinates.
-    """
-    smoothing = np.exp(-0.5 * (theta * width) ** 2)
-    angles = places[:, np.newaxis] * theta
-    if bump:
-        return np.asarray(np.sqrt(2 / n) * np.sqrt(2 * np.pi) * width * np.cos(angles) * smoothing)
-    inside = (places > 0) & (places < n)
-    return np.asarray(
-        np.where(inside[:, np.newaxis], -np.sqrt(2 / n) * np.sin(angles), 0.0)
-        / (2 * np.sin(theta / 2))
-        * smoothing
-    )
-
-
-def step_ordinates(n: int, count: int, place: float) -> FloatArray:
-    """Return the ordinates k = 1 … count of a step from 0 to 1 at sample `place`.
-
-    -sqrt(2/n) sin(theta place) / (2 sin(theta/2)), or zero if the step is not inside.
-    """
-    if not 0 < place < n:
-        return np.zeros(count)
-    half = np.pi / (2 * n) * np.arange(1, count + 1, dtype=np.float64)
-    return np.asarray(-np.sqrt(2 / n) * np.sin(2 * half * place) / (2 * np.sin(half)))
-
-
-def cycle_ordinates(
-    n: int, theta: FloatArray, omega: FloatArray | float, phase: FloatArray | float
-) -> FloatArray:
-    """Return the ordinates at angles `theta` = pi k/n of cos(omega (t + 1/2) + phase), t = 0 … n-1.
-
-    With D(a) = sin(n a/2) / sin(a/2), Dirichlet's kernel: sqrt(2/n)/2 sum over a = omega ± theta of D(a)
-    cos(n a/2 + phase).
-    """
-    total: FloatArray | float = 0.0
-    for angle in (omega + theta, omega - theta):
-        sine, cosine = np.sin(n / 2 * angle), np.cos(n / 2 * angle)
-        below = np.sin(angle / 2)
-        kernel = np.divide(sine, below, out=np.full(below.shape, float(n)), where=below != 0)
-        total = total + kernel * (cosine * np.cos(phase) - sine * np.sin(phase))
-    return np.asarray(np.sqrt(2 / n) / 2 * total)
-
-
-def lagged(samples: FloatArray, lag: float) -> FloatArray:
-    """Return `samples` after a first-order lag, in samples, constant before the first."""
-    if not lag > 0:
-        return samples
-    phi = float(np.exp(-1 / lag))
-    followed = scipy.signal.lfilter([1 - phi], [1.0, -phi], samples - samples[0])
-    return np.asarray(samples[0] + followed)

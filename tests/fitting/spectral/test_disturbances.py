@@ -11,11 +11,11 @@ from imucal.arrays import FloatArray
 from imucal.clock import Clock
 from imucal.fitting import FitSettings, NoiseFit
 from imucal.fitting.cross_checks import without_disturbances
+from imucal.fitting.regressors import Bump, LevelChange, Ramp, Regressor, Step, WarmUp, Wave, lagged
 from imucal.fitting.spectral import fit_mle
 from imucal.fitting.spectral.blocks import Block, make_blocks
-from imucal.fitting.spectral.disturbances.shapes import Disturbance, find_disturbances
+from imucal.fitting.spectral.disturbances.shapes import Disturbance, find_disturbances, with_shape
 from imucal.fitting.spectral.disturbances.whitened import Whitened
-from imucal.fitting.spectral.ordinates import lagged
 from imucal.noise.model import NoiseModel
 from imucal.recording import Axis, AxisSeries, Sensor
 from tests.fitting.fits import fitted, simulated
@@ -31,7 +31,7 @@ def noise(seed: int, text: str = TRUTH) -> FloatArray:
     return simulated(text, N, seed, rate_hz=10.0)
 
 
-def found(samples: FloatArray, temperature: FloatArray | None = None) -> list[Disturbance]:
+def found(samples: FloatArray, temperature: FloatArray | None = None) -> list[Disturbance[Regressor]]:
     """Return the disturbances found in samples at 10 Hz, with sizes in U."""
     blocks = make_blocks(AxisSeries.from_samples(samples, rate_hz=10.0), temperature)
     return list(find_disturbances(blocks.blocks)[0])
@@ -121,7 +121,7 @@ def test_removed_disturbances_can_be_subtracted_from_the_samples() -> None:
     for unit in (1.0, 1e-6):
         series = AxisSeries.from_samples(unit * (plain + shape), rate_hz=10.0)
         fit = fit_mle(series, allan_curve(series), FitSettings())
-        assert sorted(name.partition(":")[0] for name in fit.taken_out) == ["cos", "sin", "step"]
+        assert [type(regressor) for regressor in fit.taken_out] == [Step, Wave, Wave]
         rest = without_disturbances(series, fit).samples / unit - plain
         assert np.std(rest) < 0.05 * np.std(shape)
 
@@ -136,10 +136,10 @@ def test_steps_and_cycles_are_found_across_gaps() -> None:
         sensor=Sensor.GYROSCOPE, axis=axis, samples=samples[keep], clock=Clock.even(N, 10.0).keeping(keep)
     )
     shapes = find_disturbances(make_blocks(series).blocks)[0]
-    assert {shape.kind for shape in shapes} == {"cycle", "step"}
-    by_kind = {shape.kind: shape for shape in shapes}
-    assert by_kind["step"].value == pytest.approx(45_000, abs=200)
-    assert by_kind["cycle"].value * N / (2 * np.pi) == pytest.approx(6.7, abs=0.1)
+    (step,), (cycle,) = with_shape(shapes, Step), with_shape(shapes, Wave)
+    assert len(shapes) == 2
+    assert step.shape.place == pytest.approx(45_000, abs=200)
+    assert cycle.shape.frequency * N / (2 * np.pi) == pytest.approx(6.7, abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -159,36 +159,37 @@ def test_gains_agree_with_generalised_least_squares() -> None:
     """The reference solves the normal equations of all regressors at the given spectrum."""
     blocks = _blocks(31)
     spectrum = 1 + 30 / (1 + np.arange(blocks[0].bins.size))
-    names = ("R", "exp:900.0")
-    tool = Whitened.by(blocks, spectrum, names)
+    known = (Ramp(), WarmUp(time_constant=900.0))
+    tool = Whitened.by(blocks, spectrum, known)
     weight = 1 / np.repeat(spectrum, blocks[0].bins.count)
 
-    def explained(columns: tuple[str, ...]) -> float:
-        matrix = np.stack([blocks[0].regressor(name) for name in columns], axis=1)
+    def explained(columns: tuple[Regressor, ...]) -> float:
+        matrix = np.stack([blocks[0].ordinates_of(column) for column in columns], axis=1)
         right = matrix.T @ (weight * blocks[0].ordinates)
         return float(right @ np.linalg.solve(matrix.T @ (weight[:, None] * matrix), right))
 
-    for shape in (("step:1234",), ("cos:0.01", "sin:0.01"), ("exp:80.0",)):
-        expected = explained((*names, *shape)) - explained(names)
+    for shape in ((Step(place=1234),), Wave.pair(0.01), (WarmUp(time_constant=80.0),)):
+        expected = explained((*known, *shape)) - explained(known)
         assert tool.gain(shape) == pytest.approx(expected, rel=1e-8)
 
 
 def test_the_search_for_a_step_finds_the_best_place() -> None:
     """No place that is tried one by one has a larger gain than the maximum of the sine transforms."""
     blocks = _blocks(32)
-    tool = Whitened.by(blocks, np.ones(blocks[0].bins.size), ("R",))
+    tool = Whitened.by(blocks, np.ones(blocks[0].bins.size), (Ramp(),))
     place, gain, _ = tool.step()
-    every = [tool.gain((f"step:{at}",)) for at in range(30, 3970, 10)]
+    every = [tool.gain((Step(place=at),)) for at in range(30, 3970, 10)]
     assert gain >= max(every) - 1e-9
-    assert gain == pytest.approx(tool.gain((f"step:{place!r}",)), rel=1e-6)
+    between = Step(place=place)  # type: ignore[arg-type] # the closed form is defined between samples too
+    assert gain == pytest.approx(tool.gain((between,)), rel=1e-6)
 
 
 def test_the_search_for_cycles_needs_the_lowest_ordinates_only() -> None:
     """Gains from the lowest ordinates agree with gains from all ordinates to 1 %."""
     blocks = _blocks(33)
-    tool = Whitened.by(blocks, 1 + 30 / (1 + np.arange(blocks[0].bins.size)), ("R",))
+    tool = Whitened.by(blocks, 1 + 30 / (1 + np.arange(blocks[0].bins.size)), (Ramp(),))
     omega = 2 * np.pi * np.array([2.0, 7.7, 23.9]) / 4000
-    every = [tool.gain((f"cos:{w!r}", f"sin:{w!r}")) for w in omega.tolist()]
+    every = [tool.gain(Wave.pair(w)) for w in omega.tolist()]
     assert tool.lowest().cycles(omega) == pytest.approx(every, rel=0.01, abs=0.02)
 
 
@@ -217,14 +218,14 @@ def test_a_weak_step_is_found_near_its_place() -> None:
     """Most records with a step of 1e-4 in 33 min of N = 1e-4, B = 1e-5, K = 1e-6 show it."""
     n, place = 200_000, 90_000
     model = NoiseModel.parse("N=1e-4 + B=1e-5 + K=1e-6")
-    found = []
+    found: list[Disturbance[Step]] = []
     for seed in range(8):
         samples = model.simulate(n, rate_hz=100.0, rng=np.random.default_rng([35, seed]))
         samples = 1e4 * (samples + 1e-4 * (np.arange(n) >= place))
         block = Block(offset=0, bins=dct_bins(n), ordinates=dct_ordinates(samples))
-        found += [one for one in find_disturbances([block])[0] if one.kind == "step"]
+        found += with_shape(find_disturbances([block])[0], Step)
     assert len(found) >= 4
-    assert np.median([abs(one.value - place) for one in found]) < 2000
+    assert np.median([abs(one.shape.place - place) for one in found]) < 2000
     assert np.median([abs(one.size[0]) for one in found]) == pytest.approx(1.0, rel=0.3)
 
 
@@ -237,7 +238,7 @@ def test_no_step_is_removed_twice(height: float, before: int, seed: int) -> None
     samples[21_337:] += height
     samples[21_337 - before : 21_337] -= height
     fit = fitted(samples, rate_hz=10.0)
-    places = sorted(int(name.partition(":")[2]) for name in fit.taken_out)
+    places = sorted(shape.place for shape in fit.taken_out if isinstance(shape, Step))
     assert places == sorted({21_337 - before, 21_337})
     (finding,) = [finding for finding in fit.findings if finding.code == "step"]
     assert finding.text.count(" at ") == len(places)
@@ -308,17 +309,16 @@ def test_the_finding_of_a_doubtful_warm_up_explains_both_readings() -> None:
 def test_gains_alone_agree_with_single_gains() -> None:
     """The gain of a regressor that the fit already contains is zero."""
     blocks = _blocks(36)
-    tool = Whitened.by(blocks, 1 + 30 / (1 + np.arange(blocks[0].bins.size)), ("R",))
-    names = ["exp:80.0", "exp:900.0", "R"]
-    alone = [tool.gain(names[:1]), tool.gain(names[1:2]), 0.0]
-    assert tool.gains_alone(names) == pytest.approx(alone, rel=1e-8, abs=1e-8)
+    tool = Whitened.by(blocks, 1 + 30 / (1 + np.arange(blocks[0].bins.size)), (Ramp(),))
+    shapes = [WarmUp(time_constant=80.0), WarmUp(time_constant=900.0), Ramp()]
+    alone = [tool.gain(shapes[:1]), tool.gain(shapes[1:2]), 0.0]
+    assert tool.gains_alone(shapes) == pytest.approx(alone, rel=1e-8, abs=1e-8)
 
 
-@pytest.mark.parametrize("bump", [False, True])
-def test_gains_of_levels_agree_with_single_gains(*, bump: bool) -> None:
+@pytest.mark.parametrize("shape", [LevelChange, Bump])
+def test_gains_of_levels_agree_with_single_gains(shape: type[LevelChange] | type[Bump]) -> None:
     blocks = _blocks(37)
-    tool = Whitened.by(blocks, 1 + 30 / (1 + np.arange(blocks[0].bins.size)), ("R",))
+    tool = Whitened.by(blocks, 1 + 30 / (1 + np.arange(blocks[0].bins.size)), (Ramp(),))
     places = np.array([500.0, 2000.0, 9000.0])
-    kind = "bump" if bump else "level"
-    alone = [tool.gain((f"{kind}:{place},300.0",)) for place in places.tolist()]
-    assert tool.levels(places, 300.0, bump=bump) == pytest.approx(alone, rel=1e-8, abs=1e-8)
+    alone = [tool.gain((shape(place=place, width=300.0),)) for place in places.tolist()]
+    assert tool.levels(shape, places, 300.0) == pytest.approx(alone, rel=1e-8, abs=1e-8)

@@ -8,6 +8,7 @@ import numpy.testing as npt
 import pytest
 
 from imucal.arrays import FloatArray
+from imucal.fitting.regressors import WarmUp
 from imucal.fitting.spectral import maximum
 from imucal.fitting.spectral.likelihood import evaluate
 from imucal.fitting.spectral.maximum import _combinations, _mix, find_starts, time_grid
@@ -66,7 +67,7 @@ def test_information_is_the_expected_curvature() -> None:
         length=data.length,
         sign=data.sign,
         basis=data.basis,
-        names=(),
+        regressors=(),
         cross=np.zeros((0, data.size.size)),
         gram=np.zeros((0, 0, data.size.size)),
     )
@@ -237,7 +238,7 @@ def test_a_preliminary_ramp_is_removed_from_the_power() -> None:
     rest = data.power - 2 * slope * data.cross[0] + slope**2 * data.gram[0, 0]
     found = data.detrended()
     npt.assert_allclose(found.power, np.maximum(rest, 1e-9 * data.power))
-    assert replace(data, names=("exp:5",)).detrended().power is data.power
+    assert replace(data, regressors=(WarmUp(time_constant=5.0),)).detrended().power is data.power
 
 
 @pytest.mark.parametrize(("count", "places"), [(3, (0, 8, 15)), (4, (0, 5, 10, 15))])

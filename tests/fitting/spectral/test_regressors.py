@@ -4,16 +4,24 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from imucal.allan.dct import dct_bins, dct_ordinates, ramp_ordinates
+from imucal.allan.dct import dct_bins, dct_ordinates
 from imucal.arrays import FloatArray
-from imucal.fitting.spectral.blocks import Block
-from imucal.fitting.spectral.ordinates import (
-    FLICKER,
-    exponential_ordinates,
+from imucal.errors import ArgumentError, DataError
+from imucal.fitting.regressors import (
+    Bump,
+    LevelChange,
+    Ramp,
+    Regressor,
+    Step,
+    Stretch,
+    TemperatureEffect,
+    WarmUp,
+    Wave,
     lagged,
-    regressor_ordinates,
-    regressor_samples,
+    parse,
 )
+from imucal.fitting.spectral.blocks import Block
+from imucal.fitting.spectral.ordinates import FLICKER
 from tests.fitting.fits import fitted, ordinates_of, simulated
 
 N = 40_000
@@ -21,15 +29,6 @@ N = 40_000
 
 def codes(result_findings: tuple[object, ...]) -> set[str]:
     return {getattr(finding, "code", "") for finding in result_findings}
-
-
-def test_ramp_and_exponential_are_the_transform_of_their_samples() -> None:
-    """The closed forms agree with the DCT of the samples."""
-    t = np.arange(500.0)
-    np.testing.assert_allclose(ramp_ordinates(500, 499), dct_ordinates(t), atol=1e-8)
-    for time in (3.0, 80.0, 4000.0):
-        expected = dct_ordinates(np.exp(-(t + 70) / time))
-        np.testing.assert_allclose(exponential_ordinates(500, 499, time, 70), expected, atol=1e-10)
 
 
 @pytest.mark.parametrize("place", [40.0, 251.3, 470.0])
@@ -43,18 +42,22 @@ def test_changes_of_level_and_bumps_are_the_transform_of_mirrored_samples(place:
     # A step up at the place is a step down at its image.
     level = sum(side * ndtr((t - at) / width) for at, side in images)
     # Frequencies above a tenth of Nyquist depend on the sampling of narrow curves.
-    for kind, samples in (("bump", bump), ("level", level)):
+    shapes: tuple[tuple[Regressor, object], ...] = (
+        (Bump(place=place, width=width), bump),
+        (LevelChange(place=place, width=width), level),
+    )
+    for shape, samples in shapes:
         expected = dct_ordinates(np.asarray(samples))[:40]
-        found = regressor_ordinates(f"{kind}:{place},{width}", n, 40)
+        found = shape.ordinates(Stretch(n=n), 40)
         np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
 
 
 def test_the_samples_of_a_change_of_level_and_a_bump() -> None:
     """Half of the change is at its place; a bump has the height 1."""
     places = np.array([0.0, 90.0, 100.0, 110.0, 200.0])
-    level = regressor_samples("level:100.0,10.0", places, None)
+    level = LevelChange(place=100.0, width=10.0).samples(places)
     np.testing.assert_allclose(level, [0, 0.158655, 0.5, 0.841345, 1], atol=1e-6)
-    bump = regressor_samples("bump:100.0,10.0", places, None)
+    bump = Bump(place=100.0, width=10.0).samples(places)
     np.testing.assert_allclose(bump, [0, np.exp(-0.5), 1, np.exp(-0.5), 0], atol=1e-6)
 
 
@@ -139,36 +142,73 @@ def _block(temperature: FloatArray | None) -> Block:
     return Block(offset=70, bins=dct_bins(500), ordinates=dct_ordinates(samples), temperature=temperature)
 
 
-def test_a_block_returns_regressors_by_name() -> None:
+def test_a_block_returns_the_ordinates_of_regressors() -> None:
     """They are the ramp, the temperature and a decay that began before the block."""
     t = np.arange(500.0)
     block = _block(np.sin(t))
-    np.testing.assert_allclose(block.regressor("R"), dct_ordinates(t), atol=1e-8)
-    np.testing.assert_allclose(block.regressor("temperature"), dct_ordinates(np.sin(t)), atol=1e-12)
+    np.testing.assert_allclose(block.ordinates_of(Ramp()), dct_ordinates(t), atol=1e-8)
+    np.testing.assert_allclose(block.ordinates_of(TemperatureEffect()), dct_ordinates(np.sin(t)), atol=1e-12)
     decay = dct_ordinates(np.exp(-(t + 70) / 80))
-    np.testing.assert_allclose(block.regressor("exp:80.0"), decay, atol=1e-10)
+    np.testing.assert_allclose(block.ordinates_of(WarmUp(time_constant=80.0)), decay, atol=1e-10)
+
+
+#: The last wave has the frequency of an ordinate.
+CLOSED_FORMS: tuple[Regressor, ...] = (
+    Ramp(),
+    WarmUp(time_constant=3.0),
+    WarmUp(time_constant=80.0),
+    WarmUp(time_constant=4000.0),
+    Step(place=71),
+    Step(place=300),
+    Step(place=569),
+    *Wave.pair(0.0311),
+    Wave(frequency=0.5, quadrature=True),
+    Wave(frequency=np.pi * 7 / 500),
+)
+
+
+@pytest.mark.parametrize("regressor", CLOSED_FORMS, ids=str)
+@pytest.mark.parametrize("offset", [0, 70])
+def test_closed_forms_are_transforms_of_the_samples(regressor: Regressor, offset: int) -> None:
+    """The block may begin later than the record; a part has the same values as the whole."""
+    stretch = Stretch(n=500, offset=offset)
+    ordinates = regressor.ordinates(stretch, 499)
+    samples = regressor.samples(offset + np.arange(500.0))
+    np.testing.assert_allclose(ordinates, dct_ordinates(samples), atol=1e-8)
+    part = regressor.parts(stretch, 499)(slice(100, 120))
+    np.testing.assert_allclose(part, ordinates[100:120], rtol=1e-12)
+
+
+@pytest.mark.parametrize("place", [0, -3, 500])
+def test_a_step_outside_a_block_is_zero(place: int) -> None:
+    """It is constant in the block."""
+    assert not Step(place=place).ordinates(Stretch(n=500), 499).any()
 
 
 @pytest.mark.parametrize(
-    "name", ["R", "exp:80.0", "step:71", "step:300", "step:569", "cos:0.0311", "sin:0.0311", "sin:0.5"]
+    ("name", "regressor"),
+    [
+        ("R", Ramp()),
+        ("exp:1234.5", WarmUp(time_constant=1234.5)),
+        ("step:77", Step(place=77)),
+        ("cos:0.0123", Wave(frequency=0.0123)),
+        ("sin:0.0123", Wave(frequency=0.0123, quadrature=True)),
+        ("temperature", TemperatureEffect()),
+        ("temperature:3.2", TemperatureEffect(lag=3.2)),
+        ("level:20.5,3.0", LevelChange(place=20.5, width=3.0)),
+        ("bump:20.5,3.0", Bump(place=20.5, width=3.0)),
+    ],
 )
-@pytest.mark.parametrize("offset", [0, 70])
-def test_closed_forms_are_transforms_of_the_samples(name: str, offset: int) -> None:
-    """The block may begin later than the record, and the frequency may be that of an ordinate."""
-    samples = regressor_samples(name, offset + np.arange(500.0))
-    found = regressor_ordinates(name, 500, 499, offset=offset)
-    np.testing.assert_allclose(found, dct_ordinates(samples), atol=1e-8)
-    name = f"cos:{np.pi * 7 / 500!r}"
-    found = regressor_ordinates(name, 500, 499, offset=offset)
-    np.testing.assert_allclose(
-        found, dct_ordinates(regressor_samples(name, offset + np.arange(500.0))), atol=1e-8
-    )
+def test_a_stored_name_returns_an_equal_regressor(name: str, regressor: Regressor) -> None:
+    """Stored fits contain these names, so they must not change."""
+    assert regressor.name == str(regressor) == name
+    assert parse(name) == regressor
 
 
-@pytest.mark.parametrize("place", [0.0, -3.0, 500.0])
-def test_a_step_outside_a_block_is_zero(place: float) -> None:
-    """It is constant in the block."""
-    assert not regressor_ordinates(f"step:{place}", 500, 499).any()
+@pytest.mark.parametrize("name", ["", "square:3", "exp", "step:3.5", "cos:fast", "bump:3"])
+def test_an_unknown_name_is_rejected(name: str) -> None:
+    with pytest.raises(DataError, match="fit the log again"):
+        parse(name)
 
 
 def test_a_lag_is_a_first_order_filter() -> None:
@@ -180,19 +220,23 @@ def test_a_lag_is_a_first_order_filter() -> None:
         expected.append(state)
     np.testing.assert_allclose(lagged(x, 12.0), expected, rtol=1e-12)
     assert lagged(x, 0.0) is x
-    np.testing.assert_allclose(regressor_samples("temperature:12.0", np.arange(300.0), x), expected)
+    np.testing.assert_allclose(TemperatureEffect(lag=12.0).samples(np.arange(300.0), x), expected)
 
 
-@pytest.mark.parametrize("lag", ["", ":300.0"])
-def test_the_lowest_ordinates_of_a_temperature_may_use_means(lag: str) -> None:
+@pytest.mark.parametrize("lag", [0.0, 300.0])
+def test_the_lowest_ordinates_of_a_temperature_may_use_means(lag: float) -> None:
     """Means of a 25th of the samples agree with all samples to 1 % of the largest ordinate."""
     t = np.arange(20_000.0)
     warm = 25 + np.sin(t / 2500) + 1e-3 * np.random.default_rng(6).normal(size=t.size)
-    quick = regressor_ordinates(f"temperature{lag}", t.size, 200, temperature=warm)
-    every = regressor_ordinates(f"temperature{lag}", t.size, t.size - 1, temperature=warm)[:200]
+    effect, stretch = TemperatureEffect(lag=lag), Stretch(n=t.size, temperature=warm)
+    quick = effect.ordinates(stretch, 200)
+    every = effect.ordinates(stretch, t.size - 1)[:200]
     np.testing.assert_allclose(quick, every, atol=0.01 * np.abs(every).max())
 
 
 def test_a_missing_temperature_is_rejected() -> None:
-    with pytest.raises(ValueError, match="'temperature:3'"):
-        regressor_ordinates("temperature:3", 500, 499)
+    effect = TemperatureEffect(lag=3.0)
+    with pytest.raises(ArgumentError, match=r"'temperature:3\.0'"):
+        effect.ordinates(Stretch(n=500), 499)
+    with pytest.raises(ArgumentError, match=r"'temperature:3\.0'"):
+        effect.samples(np.arange(500.0))

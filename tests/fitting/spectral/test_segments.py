@@ -8,6 +8,7 @@ from scipy.optimize import minimize
 import imucal
 from imucal.clock import Clock
 from imucal.fitting.noise_fit import NoiseFit
+from imucal.fitting.regressors import Ramp, Regressor, Step, TemperatureEffect, WarmUp, Wave
 from imucal.fitting.spectral import mle
 from imucal.fitting.spectral.blocks import make_blocks
 from imucal.fitting.spectral.common_terms import Parts
@@ -17,7 +18,7 @@ from imucal.fitting.spectral.disturbances.segments import (
     number_of_segments,
     segment_ordinates,
 )
-from imucal.fitting.spectral.ordinates import Ordinates, regressor_samples
+from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries, Sensor
 from tests.fitting.fits import fitted, simulated
@@ -35,7 +36,7 @@ def axis(samples: np.ndarray, keep: np.ndarray | None = None) -> AxisSeries:
 
 
 def cut(
-    series: AxisSeries, drift: dict[str, float] | None = None, temperature: np.ndarray | None = None
+    series: AxisSeries, drift: dict[Regressor, float] | None = None, temperature: np.ndarray | None = None
 ) -> SegmentOrdinates | None:
     """Return the ordinates of eight segments of a series over the whole band."""
     blocks = make_blocks(series, temperature)
@@ -85,11 +86,17 @@ def test_disturbances_are_removed_from_the_segments() -> None:
     rng = np.random.default_rng(33)
     noise = rng.standard_normal(N)
     t, heat = np.arange(N, dtype=np.float64), np.cumsum(rng.standard_normal(N)) / 30
-    shapes = {"R": 1e-3, "exp:5000": 40.0, "step:9000": 3.0, "cos:0.002": 2.0, "temperature:300": 2.0}
-    slow = sum(size * regressor_samples(name, t, heat) for name, size in shapes.items())
+    shapes = {
+        Ramp(): 1e-3,
+        WarmUp(time_constant=5000.0): 40.0,
+        Step(place=9000): 3.0,
+        Wave(frequency=0.002): 2.0,
+        TemperatureEffect(lag=300.0): 2.0,
+    }
+    slow = sum(size * shape.samples(t, heat) for shape, size in shapes.items())
     series = axis(noise + slow)
     scale = make_blocks(series).scale
-    found = cut(series, {name: size / scale for name, size in shapes.items()}, heat)
+    found = cut(series, {shape: size / scale for shape, size in shapes.items()}, heat)
     expected = [part.var(ddof=1) for part in np.split(noise, 8)]
     npt.assert_allclose(white_levels(found, series), expected, rtol=1e-6)
 
@@ -133,7 +140,8 @@ def parts(power: np.ndarray, *, size: float = 30.0) -> Parts:
     return Parts(
         ordinates=Ordinates(
             scale=1.0, size=np.full(power.size, size), power=power, lam=flat, length=flat, sign=nothing,
-            basis=flat[None], names=(), cross=np.zeros((0, power.size)), gram=np.zeros((0, 0, power.size)),
+            basis=flat[None], regressors=(), cross=np.zeros((0, power.size)),
+            gram=np.zeros((0, 0, power.size)),
         ),
         regressors=np.zeros(0, dtype=bool),
         first=np.arange(0, power.size, 40),

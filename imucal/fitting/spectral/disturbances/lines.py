@@ -12,26 +12,35 @@ import scipy
 from imucal.allan.dct import DctBins
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.noise_fit import Line
-from imucal.fitting.spectral.ordinates import cycle_ordinates
+from imucal.fitting.regressors import cycle_ordinates
 from imucal.frozen import frozen
 
 #: False alarm rate per record.
 _CHANCE = 0.01
-#: Number of lowest ordinates that are never left out, because they contain walk and drift; half the number of
-#: bins for the local level.
-_LOWEST, _NEIGHBOURS = 48, 8
+#: Number of lowest ordinates that are never left out, because they contain walk and drift.
+_LOWEST = 48
+#: Bins on each side of a bin that determine its local level.
+_NEIGHBOURS = 8
 #: Degrees of freedom of a median per ordinate, for single ones.
 _MEDIAN_EFFICIENCY = 0.5
 #: Median of the square of a standard normal.
 _MEDIAN = 0.4549
-#: Ordinates on each side that a line must exceed: number, and least share of the frequency.
-_NEAR, _NEAR_SHARE = 64, 1 / 800
-#: Largest number of lines subtracted as sines, ordinates on each side for a fit, largest remaining power.
-_MAX_SINES, _ABOUT, _REMAINS = 16, 200, 0.1
+#: Fewest ordinates on each side that a line must exceed: enough for their median.
+_NEAR = 64
+#: Their least number as a share of the frequency.
+_NEAR_SHARE = 1 / 800
+#: Largest number of lines subtracted as sines, to limit the time of a record with many.
+_MAX_SINES = 16
+#: Ordinates on each side for the fit of a sine.
+_ABOUT = 200
+#: Largest share of the power near the line that a sine may leave: more is not a steady line.
+_REMAINS = 0.1
 #: A line's tail is left out down to this share of the level.
 _TAIL = 0.05
-#: Least number of neighbours left out on each side; largest, as a share of the frequency.
-_MIN_SKIP, _MAX_SKIP = 3, 0.02
+#: Least number of neighbours left out on each side.
+_MIN_SKIP = 3
+#: Largest number of neighbours left out, as a share of the frequency: wider tails are subtracted as a sine.
+_MAX_SKIP = 0.02
 
 
 @frozen
@@ -244,8 +253,12 @@ def with_sines(
     return tuple(sorted((*whole, *others), key=lambda line: -line.amplitude))
 
 
-#: Mains frequencies in Hz, number of harmonics, and their largest relative error.
-_MAINS, _HARMONICS, _GRID_ERROR = (50.0, 60.0), 3, 4e-3
+#: Mains frequencies, in Hz.
+_MAINS = (50.0, 60.0)
+#: Number of harmonics of the mains to compare.
+_HARMONICS = 3
+#: Largest relative error of the mains' frequency: 0.2 Hz of 50 Hz.
+_GRID_ERROR = 4e-3
 
 
 def likely_cause(frequency_hz: float, *, rate_hz: float, resolution_hz: float) -> str:

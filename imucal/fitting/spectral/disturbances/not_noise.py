@@ -11,12 +11,28 @@ from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding, Level
 from imucal.fitting.noise_fit import Line
+from imucal.fitting.regressors import (
+    Bump,
+    LevelChange,
+    Ramp,
+    Regressor,
+    Step,
+    TemperatureEffect,
+    WarmUp,
+    Wave,
+)
 from imucal.fitting.spectral.blocks import SeriesBlocks, make_blocks
 from imucal.fitting.spectral.disturbances.band import Band
 from imucal.fitting.spectral.disturbances.band_search import find_band
 from imucal.fitting.spectral.disturbances.hump import hump_finding
 from imucal.fitting.spectral.disturbances.lines import likely_cause, local_level
-from imucal.fitting.spectral.disturbances.shapes import Disturbance, exact_places, find_disturbances
+from imucal.fitting.spectral.disturbances.shapes import (
+    Disturbance,
+    exact_places,
+    find_disturbances,
+    regressors_of,
+    with_shape,
+)
 from imucal.fitting.spectral.models import richest
 from imucal.processes import try_side_work
 from imucal.recording import AxisSeries
@@ -47,8 +63,7 @@ def not_noise(series: AxisSeries, temperature: FloatArray | None = None) -> tupl
     except DataError:
         return ()
     found, _ = find_disturbances(blocks.blocks, exact=exact_places(series))
-    common = tuple(name for one in found for name in one.names)
-    whole = blocks.binned(("R", *common))
+    whole = blocks.binned((Ramp(), *regressors_of(found)))
     band = find_band(whole, richest(None))
     return (
         *tone_finding(blocks, series, fitted=False),
@@ -59,9 +74,9 @@ def not_noise(series: AxisSeries, temperature: FloatArray | None = None) -> tupl
 
 def find_shapes(
     series: AxisSeries, blocks: SeriesBlocks
-) -> tuple[tuple[Disturbance, ...], tuple[Disturbance, ...], tuple[Finding, ...]]:
+) -> tuple[tuple[Disturbance[Regressor], ...], tuple[Disturbance[Regressor], ...], tuple[Finding, ...]]:
     """Return the shapes that the fit removes, the doubtful ones, and the findings about the removed ones."""
-    nothing: tuple[Disturbance, ...] = ()
+    nothing: tuple[Disturbance[Regressor], ...] = ()
     (found, doubtful), failed = try_side_work(
         lambda: find_disturbances(blocks.blocks, exact=exact_places(series)),
         (nothing, nothing),
@@ -155,18 +170,27 @@ def _roll_off_finding(band: Band, series: AxisSeries) -> tuple[Finding, ...]:
 
 
 def disturbance_findings(
-    found: Sequence[Disturbance], series: AxisSeries, scale: float, *, fitted: bool
+    found: Sequence[Disturbance[Regressor]], series: AxisSeries, scale: float, *, fitted: bool
 ) -> tuple[Finding, ...]:
-    """Return a finding for each kind; `scale` is U per scaled unit."""
-    kinds = {kind: [one for one in found if one.kind == kind] for kind in _WORDS}
-    return tuple(_WORDS[kind](own, series, scale, fitted=fitted) for kind, own in kinds.items() if own)
+    """Return a finding for each class of shapes; `scale` is U per scaled unit."""
+    findings: list[Finding] = []
+    if temperatures := with_shape(found, TemperatureEffect):
+        findings.append(_temperature_finding(temperatures, series, scale, fitted=fitted))
+    if warm_ups := with_shape(found, WarmUp):
+        findings.append(_warm_up_finding(warm_ups, series, fitted=fitted))
+    if steps := with_shape(found, Step):
+        findings.append(_step_finding(steps, series, scale, fitted=fitted))
+    if cycles := with_shape(found, Wave):
+        findings.append(_cycle_finding(cycles, series, scale, fitted=fitted))
+    return tuple(findings)
 
 
 def _temperature_finding(
-    found: list[Disturbance], series: AxisSeries, scale: float, *, fitted: bool
+    found: list[Disturbance[TemperatureEffect]], series: AxisSeries, scale: float, *, fitted: bool
 ) -> Finding:
     (one,) = found
-    lag = f", with a lag of {one.value * series.tau0:.3g} s" if one.value else ""
+    lag_s = one.shape.lag * series.tau0
+    lag = f", with a lag of {lag_s:.3g} s" if lag_s else ""
     text = f"The axis follows the temperature ({_amount(one, series, scale)} per degree C{lag})"
     if fitted:
         text += "; the fit removes a linear effect"
@@ -177,9 +201,9 @@ def _temperature_finding(
     return Finding(level, "temperature", f"{text}.", advice, axis=series.name)
 
 
-def _warm_up_finding(found: list[Disturbance], series: AxisSeries, _: float, *, fitted: bool) -> Finding:
+def _warm_up_finding(found: list[Disturbance[WarmUp]], series: AxisSeries, *, fitted: bool) -> Finding:
     (one,) = found
-    time = one.value * series.tau0
+    time = one.shape.time_constant * series.tau0
     end = "; the fit removes this drift" if fitted else ": a warm-up"
     settled, length = _SETTLED * time, series.duration_s
     keep_s = (round(settled, 1), round(length, 1)) if settled < length / 2 else None
@@ -189,10 +213,12 @@ def _warm_up_finding(found: list[Disturbance], series: AxisSeries, _: float, *, 
     return Finding("warning", code, text, advice, axis=series.name, keep_s=keep_s)
 
 
-def _step_finding(found: list[Disturbance], series: AxisSeries, scale: float, *, fitted: bool) -> Finding:
+def _step_finding(
+    found: list[Disturbance[Step]], series: AxisSeries, scale: float, *, fitted: bool
+) -> Finding:
     """Report the jumps in order of time; jumps in one direction shortly after each other are one shift."""
-    found = sorted(found, key=lambda one: one.value)
-    times = [one.value * series.tau0 for one in found]
+    found = sorted(found, key=lambda one: one.shape.place)
+    times = [one.shape.place * series.tau0 for one in found]
     shifts: list[tuple[float, float, float]] = []
     for one, time in zip(found, times, strict=True):
         size = one.size[0] * scale
@@ -217,61 +243,61 @@ def _step_finding(found: list[Disturbance], series: AxisSeries, scale: float, *,
     return Finding("warning", "step", text, advice, axis=series.name, keep_s=keep_s)
 
 
-def _cycle_finding(found: list[Disturbance], series: AxisSeries, scale: float, *, fitted: bool) -> Finding:
+def _cycle_finding(
+    found: list[Disturbance[Wave]], series: AxisSeries, scale: float, *, fitted: bool
+) -> Finding:
     taken_out = "; the fit removes it" if fitted else ""
     text = f"The axis swings with a period of {_periods(found, series, scale)}{taken_out}."
     advice = "Look for a heater or cooler that switches, and record at a steady temperature."
     return Finding("warning", "cycle", text, advice, axis=series.name)
 
 
-#: Kind of disturbance -> function that returns its finding, in order of the report.
-_WORDS = {
-    "temperature": _temperature_finding,
-    "warm-up": _warm_up_finding,
-    "step": _step_finding,
-    "cycle": _cycle_finding,
-}
-
-
 def doubtful_findings(
-    doubtful: Sequence[Disturbance], series: AxisSeries, scale: float
+    doubtful: Sequence[Disturbance[Regressor]], series: AxisSeries, scale: float
 ) -> tuple[Finding, ...]:
     """Return a finding for each shape that is as likely as noise; `scale` is U per scaled unit."""
-    return tuple(_doubtful_finding(one, series, scale) for one in doubtful)
-
-
-def _doubtful_finding(one: Disturbance, series: AxisSeries, scale: float) -> Finding:
-    size = _amount(one, series, scale)
-    level: Level = "info"
-    if one.kind == "warm-up":
-        shape = f"a warm-up with a time constant of about {one.value * series.tau0:.2g} s"
+    findings: list[Finding] = []
+    for warm_up in with_shape(doubtful, WarmUp):
+        time = warm_up.shape.time_constant * series.tau0
+        shape = f"a warm-up with a time constant of about {time:.2g} s"
         advice = "Let the sensor warm up, leave out the first part (--skip), or record for longer."
-    elif one.kind == "cycle":
-        shape = f"a cycle with a period of {_periods([one], series, scale)}"
+        findings.append(_doubtful("info", "warm-up-doubtful", shape, advice, series))
+    for cycle in with_shape(doubtful, Wave):
+        shape = f"a cycle with a period of {_periods([cycle], series, scale)}"
         advice = "Record for longer to see whether it continues."
-    elif one.kind == "temperature":
-        shape = f"an effect of the temperature ({size} per degree C)"
+        findings.append(_doubtful("info", "cycle-doubtful", shape, advice, series))
+    for temperature in with_shape(doubtful, TemperatureEffect):
+        shape = f"an effect of the temperature ({_amount(temperature, series, scale)} per degree C)"
         advice = "Record at a steady temperature, or for longer."
-    else:
-        place, width = (value * series.tau0 for value in one.place_and_width)
-        what = "a change of level by" if one.kind == "level" else "a bump of"
-        shape = f"{what} {size} around {place:.3g} s, within about {_WIDE * width:.2g} s"
+        findings.append(_doubtful("info", "temperature-doubtful", shape, advice, series))
+    levels: list[Disturbance[LevelChange] | Disturbance[Bump]] = [
+        *with_shape(doubtful, LevelChange),
+        *with_shape(doubtful, Bump),
+    ]
+    for level in levels:
+        place = level.shape.place * series.tau0
+        within = _WIDE * level.shape.width * series.tau0
+        size = _amount(level, series, scale)
+        shape = f"{level.shape.description} of {size} around {place:.3g} s, within about {within:.2g} s"
         advice = "Look for heating, air conditioning or a load at that time, and record without it."
-        level = "warning"
+        findings.append(_doubtful("warning", "level-doubtful", shape, advice, series))
+    return tuple(findings)
+
+
+def _doubtful(level: Level, code: str, shape: str, advice: str, series: AxisSeries) -> Finding:
     text = (
         f"There may be {shape}, or a random walk that looks like it: the record can't distinguish them. The "
         "limits of N, B and K allow for both."
     )
-    code = "level-doubtful" if one.kind in {"level", "bump"} else f"{one.kind}-doubtful"
     return Finding(level, code, text, advice, axis=series.name)
 
 
-def _periods(found: Sequence[Disturbance], series: AxisSeries, scale: float) -> str:
+def _periods(found: Sequence[Disturbance[Wave]], series: AxisSeries, scale: float) -> str:
     return ", ".join(
-        f"{2 * np.pi / one.value * series.tau0:.4g} s (amplitude {_amount(one, series, scale)})"
+        f"{2 * np.pi / one.shape.frequency * series.tau0:.4g} s (amplitude {_amount(one, series, scale)})"
         for one in sorted(found, key=lambda one: -one.amplitude)
     )
 
 
-def _amount(one: Disturbance, series: AxisSeries, scale: float) -> str:
+def _amount(one: Disturbance[Regressor], series: AxisSeries, scale: float) -> str:
     return f"{one.amplitude * scale:.3g} {pretty(series.unit)}"

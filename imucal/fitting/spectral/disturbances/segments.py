@@ -15,6 +15,7 @@ from imucal.allan.dct import dct_bins, dct_ordinates, fast_length
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.homogeneity import SURE, bartlett_correction, cochran_q, homogeneity
 from imucal.fitting.noise_fit import Segments, TermHomogeneity, Trace
+from imucal.fitting.regressors import Regressor
 from imucal.fitting.spectral.blocks import Block, SeriesBlocks, bin_blocks
 from imucal.fitting.spectral.common_terms import Parts, visible
 from imucal.fitting.spectral.disturbances.band import Band
@@ -23,18 +24,22 @@ from imucal.fitting.spectral.estimates import Problem, quantile, student_quantil
 from imucal.fitting.spectral.likelihood import Fits, derivatives
 from imucal.fitting.spectral.maximum import bounds
 from imucal.fitting.spectral.models import COLUMN
-from imucal.fitting.spectral.ordinates import Ordinates, regressor_samples
+from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.frozen import frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import term_keys
 from imucal.recording import AxisSeries
 
-#: Fewest samples of a segment, and of its parts.
-_MIN_SAMPLES, _MIN_PART_SAMPLES = 2048, 64
+#: Fewest samples of a segment: its white noise then has an error of 1.6 %.
+_MIN_SAMPLES = 2048
+#: Fewest samples of a part of a segment between long gaps, as of a block.
+_MIN_PART_SAMPLES = 64
 #: Least number of segments for the tests.
 _MIN_SEGMENTS = 3
-#: Single bins and bins per octave; the model's mean over a bin is exact.
-_SINGLES, _PER_OCTAVE = 16, 12
+#: Single bins of a segment: fewer than in a fit, because the model's mean over a bin is exact.
+_SINGLES = 16
+#: Bins per octave of a segment, few for the same reason.
+_PER_OCTAVE = 12
 #: Least number of ordinates to leave out on each side of a line.
 _REACH = 3
 
@@ -59,7 +64,7 @@ def number_of_segments(samples: int, wanted: int) -> int:
 
 
 def segment_ordinates(
-    series: AxisSeries, blocks: SeriesBlocks, *, drift: Mapping[str, float], wanted: int, band: Band
+    series: AxisSeries, blocks: SeriesBlocks, *, drift: Mapping[Regressor, float], wanted: int, band: Band
 ) -> SegmentOrdinates | None:
     """Return the ordinates of each segment of finite samples, or None if there are too few samples.
 
@@ -93,7 +98,7 @@ def segment_ordinates(
 
 
 def _piece(
-    series: AxisSeries, block: Block, *, drift: Mapping[str, float], scale: float, place: int, size: int
+    series: AxisSeries, block: Block, *, drift: Mapping[Regressor, float], scale: float, place: int, size: int
 ) -> Block | None:
     """Return the part of a block from a place of the grid on, or None if it has too few samples."""
     size = fast_length(max(size, 0))
@@ -108,13 +113,12 @@ def _piece(
         before = place - block.offset - (first - clock.index_from(block.offset))
         at = clock.grid(first, stop) - place
         samples = _between(samples, at, block.drawn[before : before + missing])
-    for name, coefficient in drift.items():
-        # A lagged temperature depends on the whole block before.
-        before = place - block.offset
-        start = 0 if name.startswith("temperature") else before
+    before = place - block.offset
+    for regressor, coefficient in drift.items():
+        start = 0 if regressor.has_memory else before
         places = block.offset + np.arange(start, before + size, dtype=np.float64)
         temperature = None if block.temperature is None else block.temperature[start : before + size]
-        samples -= coefficient * regressor_samples(name, places, temperature)[before - start :]
+        samples -= coefficient * regressor.samples(places, temperature)[before - start :]
     bins, loss = dct_bins(size, singles=_SINGLES, per_octave=_PER_OCTAVE), None
     if missing:
         # The block's lost information at the same frequency, scaled by the part's gaps.
@@ -169,8 +173,8 @@ def fit_segments(
 
     `fitted` is the reported model, `model` the same in SI.
     """
-    names, beta = problem.ordinates.names, fitted.beta[0].tolist()
-    drift = {name: value for name, value in zip(names, beta, strict=True) if value}
+    coefficients = zip(problem.ordinates.regressors, fitted.beta[0].tolist(), strict=True)
+    drift = {regressor: value for regressor, value in coefficients if value}
     found = segment_ordinates(series, blocks, drift=drift, wanted=wanted, band=band)
     if found is None:
         return None

@@ -5,22 +5,34 @@ a rich noise model: the one that gains most, if the gain exceeds its price and a
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from typing import Generic, TypeVar, cast
 
 import numpy as np
 
+from imucal.fitting.regressors import (
+    Bump,
+    LevelChange,
+    Ramp,
+    Regressor,
+    Step,
+    TemperatureEffect,
+    WarmUp,
+    Wave,
+)
 from imucal.fitting.spectral.blocks import Block, bin_blocks
 from imucal.fitting.spectral.disturbances.whitened import Whitened
 from imucal.fitting.spectral.likelihood import Fits
 from imucal.fitting.spectral.maximum import fit_blindly
 from imucal.fitting.spectral.models import COLUMN, Structure, models_of
-from imucal.fitting.spectral.ordinates import SHAPED, Ordinates, parsed_level
+from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
 from imucal.frozen import frozen
 from imucal.recording import AxisSeries
 
-#: A rich model, and the number of ordinates that contain slow shapes.
+#: A rich model, so that a shape gains only what no noise explains.
 _STRUCTURE = ("N", "B", "GM", "K", "R")
+#: Number of the lowest ordinates, which contain slow shapes.
 _LOWEST = 4000
 #: Time constants of a warm-up, as parts of the record.
 _WARM_UPS = np.geomspace(0.01, 2.0, 12)
@@ -28,14 +40,18 @@ _WARM_UPS = np.geomspace(0.01, 2.0, 12)
 _NEAR_WARM_UPS = np.geomspace(1 / 1.5, 1.5, 9)
 #: Lags of a temperature, as parts of the record.
 _LAGS = np.geomspace(3e-4, 0.1, 16)
-#: Periods per record of cycles: fewer are drifts, more are lines.
-_MIN_PERIODS, _MAX_PERIODS = 2.0, 24.0
-#: Fewest periods per record of a slow cycle.
+#: Fewest periods per record of a cycle: with fewer, it is a slow cycle.
+_MIN_PERIODS = 2.0
+#: Most periods per record of a cycle: with more, it is a line.
+_MAX_PERIODS = 24.0
+#: Fewest periods per record of a slow cycle: with fewer, it is a drift.
 _MIN_SLOW_PERIODS = 0.7
 #: Number of ordinates for a slow cycle.
 _OF_SLOW = 128
-#: Spacing of the periods per record: of the search, and around its peak.
-_SPACING, _FINE = 0.25, 1 / 64
+#: Spacing of the search in periods per record: a peak is about one period wide.
+_SPACING = 0.25
+#: Spacing around the peak of the search.
+_FINE = 1 / 64
 #: Least gain beyond the price, in twice the log-likelihood.
 _MARGIN = 7.0
 #: False alarm rate of steps in clean records of known spectrum.
@@ -44,22 +60,25 @@ _CHANCE_STEP = 0.002
 _PRICE_CYCLE = 16.0
 #: Gain beyond its price from which a cycle is doubtful.
 _DOUBT = -0.5
-#: Price of a slow cycle, which a random walk often resembles, and of a warm-up.
-_PRICE_SLOW_CYCLE, _PRICE_WARM_UP = 20.0, 20.0
+#: Price of a slow cycle, which a random walk often resembles.
+_PRICE_SLOW_CYCLE = 20.0
+#: Price of a warm-up, which a random walk resembles too.
+_PRICE_WARM_UP = 20.0
 #: Gain on the rich model from which a warm-up is as likely as a walk.
 _RIVAL_WARM_UP = 6.0
-#: The same for a change of level, which has a place and a width to choose.
+#: The same of a change of level, which has a place and a width to choose.
 _RIVAL_LEVEL = 12.0
-#: The same for a bump; a walk resembles it more often.
+#: The same of a bump; a walk resembles it more often.
 _RIVAL_BUMP = 14.0
-#: The same for the logged temperature, and for the temperature behind a lag to choose.
+#: The same of the logged temperature: there is nothing to choose.
 _RIVAL_TEMPERATURE = 0.0
+#: The same of the temperature behind a lag to choose.
 _RIVAL_LAGGED = 6.0
 #: Widths of changes of level and bumps, as parts of the record.
 _WIDTHS = np.geomspace(0.002, 0.2, 9)
-#: Widths between two places to try.
+#: Distance of two places to try, in widths.
 _SPACING_OF_LEVELS = 0.5
-#: Least distance of places to try, as a part of the record.
+#: Least distance of two places to try, as a part of the record.
 _NEAREST_LEVELS = 1 / 400
 #: Number of ordinates for changes of level.
 _OF_LEVELS = 256
@@ -71,9 +90,10 @@ _ABSENT = -300.0
 _CAUSED = 0.9
 #: Steps nearer than the record's length over this are collinear.
 _MAX_PLACES = 65536
-#: Least gain, at the spectrum without the shape, for a fit; less for slow cycles and warm-ups, because this
-#: spectrum contains their power.
-_WORTH_A_FIT, _SMOOTH_WORTH_A_FIT = 15.0, 9.0
+#: Least gain of a shape, at the spectrum without it, for a fit.
+_WORTH_A_FIT = 15.0
+#: The same of a cycle or warm-up: less, because the spectrum contains its power.
+_SMOOTH_WORTH_A_FIT = 9.0
 #: Largest number of shapes to take out.
 _MAX_SHAPES = 8
 
@@ -82,40 +102,48 @@ _MAX_SHAPES = 8
 ExactPlace = Callable[[float, Sequence[float], float], int]
 
 
+_Shape = TypeVar("_Shape", bound=Regressor)
+_Shape_co = TypeVar("_Shape_co", bound=Regressor, covariant=True)
+
+
 @frozen
-class Disturbance:
-    """A shape in the samples that is not noise.
+class Disturbance(Generic[_Shape_co]):
+    """A shape in the samples that is not noise, such as a temperature, a warm-up, a step or a cycle.
 
-    The kinds are ``temperature``, ``warm-up``, ``step`` and ``cycle``, and among the doubtful ones ``level``
-    and ``bump``.
-
-    `names` are its regressors, and `size` their coefficients in scaled units. `price` is the gain that it
-    needs in addition to a margin.
+    A cycle has two `regressors`, the others one. `size` are the coefficients in scaled units. `price` is the
+    gain that the shape needs in addition to a margin.
     """
 
-    kind: str
-    names: tuple[str, ...]
+    regressors: tuple[_Shape_co, ...]
     price: float
     size: tuple[float, ...] = ()
 
     @property
+    def shape(self) -> _Shape_co:
+        """The first regressor."""
+        return self.regressors[0]
+
+    @property
     def amplitude(self) -> float:
+        """Norm of the coefficients, in scaled units."""
         return float(np.linalg.norm(self.size))
 
-    @property
-    def value(self) -> float:
-        """Number after the colon of the first regressor's name; 0 if there is none."""
-        return float(self.names[0].partition(":")[2] or 0.0)
 
-    @property
-    def place_and_width(self) -> tuple[float, float]:
-        """Place and width of a change of level or a bump, in samples."""
-        return parsed_level(self.names[0])[1:]
+def with_shape(
+    disturbances: Iterable[Disturbance[Regressor]], shape: type[_Shape]
+) -> list[Disturbance[_Shape]]:
+    """Return the disturbances whose regressors are of one class."""
+    return [cast("Disturbance[_Shape]", one) for one in disturbances if isinstance(one.shape, shape)]
+
+
+def regressors_of(disturbances: Iterable[Disturbance[Regressor]]) -> tuple[Regressor, ...]:
+    """Return the regressors of all disturbances."""
+    return tuple(regressor for one in disturbances for regressor in one.regressors)
 
 
 def find_disturbances(
     blocks: Sequence[Block], *, exact: ExactPlace | None = None
-) -> tuple[tuple[Disturbance, ...], tuple[Disturbance, ...]]:
+) -> tuple[tuple[Disturbance[Regressor], ...], tuple[Disturbance[Regressor], ...]]:
     """Return the shapes to take out in addition to the ramp, the strongest first; and the doubtful ones.
 
     `exact` returns the exact place of a step: otherwise the next best shape would be a second step that
@@ -123,160 +151,169 @@ def find_disturbances(
     """
     low = [block.lowest(max(_LOWEST // len(blocks), 64)) for block in blocks]
     length = blocks[-1].offset + blocks[-1].bins.n
-    found: list[Disturbance] = []
-    doubtful: tuple[Disturbance, ...] = ()
+    found: list[Disturbance[Regressor]] = []
+    doubtful: tuple[Disturbance[Regressor], ...] = ()
     plain = bin_blocks(low, 1.0, ())
     base = _fits(low, [()])
     while len(found) < _MAX_SHAPES:
-        names = tuple(name for one in found for name in one.names)
-        whitened = Whitened.by(low, base.unfiltered(plain), ("R", *names))
+        taken = regressors_of(found)
+        whitened = Whitened.by(low, base.unfiltered(plain), (Ramp(), *taken))
         kinds = [*_candidates(whitened, length, found)]
         kinds += _step(whitened, max(length / _MAX_PLACES, 1.0), found, exact)
-        candidates = [one for one in kinds if not set(one.names) & set(names)]
+        candidates = [one for one in kinds if not set(one.regressors) & set(taken)]
         if not candidates:
             break
-        fits = _fits(low, [(*names, *one.names) for one in candidates])
+        fits = _fits(low, [(*taken, *one.regressors) for one in candidates])
         gains = 2 * (base.objective[0] - fits.objective)
         net = gains - np.array([one.price for one in candidates])
-        cycle = np.array([one.kind == "cycle" for one in candidates])
+        cycle = np.array([isinstance(one.shape, Wave) for one in candidates])
         caused = ~cycle & (net > _MARGIN) & (gains > _CAUSED * gains.max())
-        best = int(np.argmax(np.where(caused, net, -np.inf) if caused.any() else net))
+        allowed = caused if caused.any() else np.ones(net.size, dtype=bool)
+        best = int(np.argmax(np.where(allowed, net, -np.inf)))
         if net[best] <= _MARGIN:
             likely = np.where(cycle, net, -np.inf)
             row = int(np.argmax(likely))
             if likely[row] > _DOUBT:
                 doubtful = _sized([candidates[row]], fits, row)
             break
-        taken, base = _taken_out(candidates[best], low, plain, names)
-        found.append(taken)
+        strongest, base = _taken_out(candidates[best], low, plain, taken)
+        found.append(strongest)
     return _sized(found, base), (*doubtful, *_rival(low, plain, base, found))
 
 
 def _taken_out(
-    one: Disturbance, low: Sequence[Block], plain: Ordinates, names: tuple[str, ...]
-) -> tuple[Disturbance, Fits]:
-    """Return a shape and the fit with it.
+    strongest: Disturbance[Regressor], low: Sequence[Block], plain: Ordinates, taken: tuple[Regressor, ...]
+) -> tuple[Disturbance[Regressor], Fits]:
+    """Return the strongest disturbance and the fit with it.
 
     The spectrum without a warm-up contains its power, so its time constant is searched again.
     """
-    base = _fits(low, [(*names, *one.names)])
-    if one.kind != "warm-up":
-        return one, base
-    whitened = Whitened.by(low, base.unfiltered(plain), ("R", *names))
-    one = _warm_up(whitened, low[-1].offset + low[-1].bins.n)[1]
-    return one, _fits(low, [(*names, *one.names)])
+    base = _fits(low, [(*taken, *strongest.regressors)])
+    if not isinstance(strongest.shape, WarmUp):
+        return strongest, base
+    whitened = Whitened.by(low, base.unfiltered(plain), (Ramp(), *taken))
+    _, warm_up = _warm_up(whitened, low[-1].offset + low[-1].bins.n)
+    return warm_up, _fits(low, [(*taken, *warm_up.regressors)])
 
 
-def _sized(found: Sequence[Disturbance], fits: Fits, row: int = 0) -> tuple[Disturbance, ...]:
-    beta = dict(zip(fits.models.names, fits.beta[row].tolist(), strict=True))
-    return tuple(replace(one, size=tuple(beta[name] for name in one.names)) for one in found)
+def _sized(
+    found: Sequence[Disturbance[Regressor]], fits: Fits, row: int = 0
+) -> tuple[Disturbance[Regressor], ...]:
+    coefficients = dict(zip(fits.models.names, fits.beta[row].tolist(), strict=True))
+    sized = []
+    for disturbance in found:
+        size = tuple(coefficients[regressor.name] for regressor in disturbance.regressors)
+        sized.append(replace(disturbance, size=size))
+    return tuple(sized)
 
 
-def _fits(low: Sequence[Block], sets: Sequence[tuple[str, ...]], structure: Structure = _STRUCTURE) -> Fits:
-    names = ("R", *dict.fromkeys(name for names in sets for name in names))
-    ordinates = bin_blocks(low, 1.0, names)
+def _fits(
+    low: Sequence[Block], sets: Sequence[tuple[Regressor, ...]], structure: Structure = _STRUCTURE
+) -> Fits:
+    shapes = dict.fromkeys(shape for regressors in sets for shape in regressors)
+    ordinates = bin_blocks(low, 1.0, (Ramp(), *shapes))
     seen = ordinates[ordinates.size > 0]
-    has = np.array([[name in {"R", *own} for name in names] for own in sets])
-    models = replace(models_of([structure] * len(sets), names), regressors=has)
+    has = np.array([[shape in {Ramp(), *own} for shape in ordinates.regressors] for own in sets])
+    models = replace(models_of([structure] * len(sets), ordinates.names), regressors=has)
     return fit_blindly(seen, models, keep=(1, 2, 2), tolerance=1e-2)
 
 
-def _candidates(whitened: Whitened, length: int, found: Sequence[Disturbance]) -> Iterator[Disturbance]:
+def _candidates(
+    whitened: Whitened, length: int, found: Sequence[Disturbance[Regressor]]
+) -> Iterator[Disturbance[Regressor]]:
     """Yield the best shape of each kind, except steps, if it may be worth a fit."""
-    once = {one.kind for one in found}
-    if "temperature" not in once:
-        for gain, shape in _temperatures(whitened, length):
+    if not with_shape(found, TemperatureEffect):
+        for gain, temperature in _temperatures(whitened, length):
             if gain > _SMOOTH_WORTH_A_FIT:
-                yield shape
+                yield temperature
     for slow in (False, True):
         gain, cycle = best_cycle(whitened, length, slow=slow)
         if gain > _SMOOTH_WORTH_A_FIT:
             yield cycle
-    if "warm-up" not in once:
+    if not with_shape(found, WarmUp):
         gain, warm_up = _warm_up(whitened, length)
         if gain > _SMOOTH_WORTH_A_FIT:
             yield warm_up
 
 
-def _temperatures(whitened: Whitened, length: int) -> Iterator[tuple[float, Disturbance]]:
-    """Yield the logged temperature, and behind the best lag, with their gains."""
+def _temperatures(whitened: Whitened, length: int) -> list[tuple[float, Disturbance[TemperatureEffect]]]:
+    """Return the logged temperature, and behind the best lag, with their gains; [] if none is logged."""
     if not all(b.temperature is not None and np.ptp(b.temperature) > 0 for b in whitened.blocks):
-        return
+        return []
     price = float(np.log(length))
-    yield (
-        whitened.gain(("temperature",)),
-        Disturbance(kind="temperature", names=("temperature",), price=price),
-    )
-    names = [f"temperature:{lag!r}" for lag in (_LAGS * length).tolist()]
-    gains = [whitened.gain((name,)) for name in names]
+    at_once = Disturbance(regressors=(TemperatureEffect(),), price=price)
+    lags = [TemperatureEffect(lag=lag) for lag in (_LAGS * length).tolist()]
+    gains = [whitened.gain((lag,)) for lag in lags]
     best = int(np.argmax(gains))
-    yield gains[best], Disturbance(kind="temperature", names=(names[best],), price=2 * price)
+    lagged = Disturbance(regressors=(lags[best],), price=2 * price)
+    return [(whitened.gain(at_once.regressors), at_once), (gains[best], lagged)]
 
 
-def _level(whitened: Whitened, length: int, *, bump: bool) -> Disturbance:
+def _level(whitened: Whitened, length: int, shape: type[LevelChange] | type[Bump]) -> Disturbance[Regressor]:
     """Return the change of level, or the bump, that gains most."""
     lowest = whitened.lowest(_OF_LEVELS)
-    best = (-1.0, 0.0, 0.0)
+    gain, best = -1.0, (0.0, 0.0)
     for width in (_WIDTHS * length).tolist():
         apart = max(_SPACING_OF_LEVELS * width, _NEAREST_LEVELS * length)
         places = np.arange(apart, length - apart / 2, apart)
-        gains = lowest.levels(places, width, bump=bump)
+        gains = lowest.levels(shape, places, width)
         row = int(np.argmax(gains))
-        best = max(best, (float(gains[row]), float(places[row]), width))
-    kind = "bump" if bump else "level"
-    return Disturbance(kind=kind, names=(f"{kind}:{best[1]!r},{best[2]!r}",), price=0.0)
+        if gains[row] > gain:
+            gain, best = float(gains[row]), (float(places[row]), width)
+    place, width = best
+    return Disturbance(regressors=(shape(place=place, width=width),), price=0.0)
 
 
-def _warm_up(whitened: Whitened, length: int) -> tuple[float, Disturbance]:
+def _warm_up(whitened: Whitened, length: int) -> tuple[float, Disturbance[WarmUp]]:
     lowest, best, gain = whitened.lowest(), 1.0, 0.0
     for factors in (_WARM_UPS * length, _NEAR_WARM_UPS):
         times = best * factors
-        gains = lowest.gains_alone([f"exp:{time!r}" for time in times.tolist()])
+        gains = lowest.gains_alone([WarmUp(time_constant=time) for time in times.tolist()])
         row = int(np.argmax(gains))
         best, gain = float(times[row]), float(gains[row])
-    return gain, Disturbance(kind="warm-up", names=(f"exp:{best!r}",), price=_PRICE_WARM_UP)
+    return gain, Disturbance(regressors=(WarmUp(time_constant=best),), price=_PRICE_WARM_UP)
 
 
 def _rival(
-    low: Sequence[Block], plain: Ordinates, base: Fits, found: Sequence[Disturbance]
-) -> tuple[Disturbance, ...]:
+    low: Sequence[Block], plain: Ordinates, base: Fits, found: Sequence[Disturbance[Regressor]]
+) -> tuple[Disturbance[Regressor], ...]:
     """Return the shape that explains a record as well as a random walk does, or ()."""
     theta, length = base.theta.copy(), low[-1].offset + low[-1].bins.n
     theta[:, [COLUMN["K"], SHAPED]] = _ABSENT
     still = replace(base, theta=theta).unfiltered(plain)
     if np.max(base.unfiltered(plain) / still) < _NO_WALK:
         return ()
-    names = tuple(name for one in found for name in one.names)
-    whitened = Whitened.by(low, still, ("R", *names))
-    rivals = {
-        _level(whitened, length, bump=False): _RIVAL_LEVEL,
-        _level(whitened, length, bump=True): _RIVAL_BUMP,
+    taken = regressors_of(found)
+    whitened = Whitened.by(low, still, (Ramp(), *taken))
+    rivals: dict[Disturbance[Regressor], float] = {
+        _level(whitened, length, LevelChange): _RIVAL_LEVEL,
+        _level(whitened, length, Bump): _RIVAL_BUMP,
     }
-    kinds = {one.kind for one in found}
-    if "warm-up" not in kinds:
+    if not with_shape(found, WarmUp):
         rivals[_warm_up(whitened, length)[1]] = _RIVAL_WARM_UP
-    if "temperature" not in kinds:
+    if not with_shape(found, TemperatureEffect):
         needs = (_RIVAL_TEMPERATURE, _RIVAL_LAGGED)
-        rivals |= {one[1]: need for one, need in zip(_temperatures(whitened, length), needs, strict=False)}
-    fits = _fits(low, [(*names, *one.names) for one in rivals], ("N", "B", "R"))
+        for (_, temperature), need in zip(_temperatures(whitened, length), needs, strict=False):
+            rivals[temperature] = need
+    fits = _fits(low, [(*taken, *one.regressors) for one in rivals], ("N", "B", "R"))
     excess = 2 * (base.objective[0] - fits.objective) - np.array([*rivals.values()])
     row = int(np.argmax(excess))
     return _sized([[*rivals][row]], fits, row) if excess[row] > 0 else ()
 
 
 def _step(
-    whitened: Whitened, apart: float, found: Sequence[Disturbance], exact: ExactPlace | None
-) -> Iterator[Disturbance]:
-    taken = [one.value for one in found if one.kind == "step"]
+    whitened: Whitened, apart: float, found: Sequence[Disturbance[Regressor]], exact: ExactPlace | None
+) -> Iterator[Disturbance[Step]]:
+    taken = [one.shape.place for one in with_shape(found, Step)]
     place, gain, choice = whitened.step(taken, apart)
     if gain <= _WORTH_A_FIT:
         return
-    place = round(place) if exact is None else exact(place, taken, apart)
+    nearest = round(place) if exact is None else exact(place, taken, apart)
     price = 2 * np.log(max(choice, 1.0) / _CHANCE_STEP) - _MARGIN
-    yield Disturbance(kind="step", names=(f"step:{place}",), price=price)
+    yield Disturbance(regressors=(Step(place=nearest),), price=price)
 
 
-def best_cycle(whitened: Whitened, length: int, *, slow: bool = False) -> tuple[float, Disturbance]:
+def best_cycle(whitened: Whitened, length: int, *, slow: bool = False) -> tuple[float, Disturbance[Wave]]:
     """Return the gain and shape of the best cycle, or slow cycle."""
     unit = 2 * np.pi / length
     fewest, most = (_MIN_SLOW_PERIODS, _MIN_PERIODS) if slow else (_MIN_PERIODS, _MAX_PERIODS)
@@ -289,9 +326,7 @@ def best_cycle(whitened: Whitened, length: int, *, slow: bool = False) -> tuple[
     best = int(np.argmax(gains))
     omega = float(unit * fine[best])
     price = _PRICE_SLOW_CYCLE if slow else _PRICE_CYCLE
-    return float(gains[best]), Disturbance(
-        kind="cycle", names=(f"cos:{omega!r}", f"sin:{omega!r}"), price=price
-    )
+    return float(gains[best]), Disturbance(regressors=Wave.pair(omega), price=price)
 
 
 #: Accuracy of the search, as a share of the record.

@@ -11,8 +11,8 @@ import numpy as np
 import scipy
 
 from imucal.arrays import FloatArray
+from imucal.fitting.regressors import Bump, LevelChange, Regressor, Stretch, cycle_ordinates
 from imucal.fitting.spectral.blocks import Block
-from imucal.fitting.spectral.ordinates import cycle_ordinates, level_ordinates
 from imucal.frozen import frozen_alone
 
 #: Number of places in a block to search for a step.
@@ -39,8 +39,8 @@ class Whitened:
     base: FloatArray
 
     @classmethod
-    def by(cls, blocks: Sequence[Block], spectrum: FloatArray, names: Sequence[str]) -> "Whitened":
-        """Return the ordinates whitened by the bins' `spectrum`, shape (b,); the fit has `names`."""
+    def by(cls, blocks: Sequence[Block], spectrum: FloatArray, fitted: Sequence[Regressor]) -> "Whitened":
+        """Return the ordinates whitened by the bins' `spectrum`, shape (b,), minus `fitted` regressors."""
         parts = np.split(spectrum, np.cumsum([block.bins.size for block in blocks])[:-1])
         weights = []
         for block, part in zip(blocks, parts, strict=True):
@@ -50,17 +50,17 @@ class Whitened:
             weights.append(own if block.kept is None else np.where(block.kept, own, 0.0))
         own = np.concatenate([block.ordinates * w for block, w in zip(blocks, weights, strict=True)])
         plain = cls(blocks=tuple(blocks), weight=tuple(weights), rest=own, base=np.zeros((own.size, 0)))
-        base = np.linalg.qr(plain.columns(names))[0]
+        base = np.linalg.qr(plain.columns(fitted))[0]
         return replace(plain, rest=own - base @ (base.T @ own), base=base)
 
-    def columns(self, names: Sequence[str]) -> FloatArray:
+    def columns(self, regressors: Sequence[Regressor]) -> FloatArray:
         pairs = list(zip(self.blocks, self.weight, strict=True))
-        every = [np.concatenate([block.regressor(name) * w for block, w in pairs]) for name in names]
-        return np.stack(every, axis=1) if every else np.zeros((self.rest.size, 0))
+        columns = [np.concatenate([block.ordinates_of(one) * w for block, w in pairs]) for one in regressors]
+        return np.stack(columns, axis=1) if columns else np.zeros((self.rest.size, 0))
 
-    def gain(self, names: Sequence[str]) -> float:
+    def gain(self, regressors: Sequence[Regressor]) -> float:
         """Return twice the log-likelihood that regressors gain together."""
-        columns = self.columns(names)
+        columns = self.columns(regressors)
         columns -= self.base @ (self.base.T @ columns)
         solution = np.linalg.lstsq(columns, self.rest, rcond=_COLLINEAR)[0]
         return float(self.rest @ (columns @ solution))
@@ -74,9 +74,9 @@ class Whitened:
         weight = tuple(w[: b.ordinates.size] for w, b in zip(self.weight, blocks, strict=True))
         return Whitened(blocks=blocks, weight=weight, rest=self.rest[rows], base=self.base[rows])
 
-    def gains_alone(self, names: Sequence[str]) -> FloatArray:
+    def gains_alone(self, regressors: Sequence[Regressor]) -> FloatArray:
         """Return the gain of each regressor alone."""
-        columns = self.columns(names)
+        columns = self.columns(regressors)
         whole = np.sum(columns**2, axis=0)
         columns -= self.base @ (self.base.T @ columns)
         size = np.sum(columns**2, axis=0)
@@ -101,12 +101,12 @@ class Whitened:
             np.sum(np.where(independent, along**2 / np.where(independent, size, 1.0), 0.0), axis=-1)
         )
 
-    def levels(self, places: FloatArray, width: float, *, bump: bool) -> FloatArray:
+    def levels(self, shape: type[LevelChange] | type[Bump], places: FloatArray, width: float) -> FloatArray:
         """Return the gain of a change of level, or of a bump, of this `width` at each of the `places`."""
         parts = []
         for block, own in zip(self.blocks, self.weight, strict=True):
-            theta = np.pi / block.bins.n * np.arange(1, block.ordinates.size + 1, dtype=np.float64)
-            parts.append(level_ordinates(block.bins.n, theta, places - block.offset, width, bump=bump) * own)
+            stretch = Stretch(n=block.bins.n, offset=block.offset)
+            parts.append(shape.ordinates_at(places, width, stretch, block.ordinates.size) * own)
         shapes = np.concatenate(parts, axis=-1)
         whole = np.sum(shapes**2, axis=-1)
         shapes -= (shapes @ self.base) @ self.base.T
