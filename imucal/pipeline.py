@@ -29,7 +29,6 @@ from imucal.fitting.spectral.disturbances.not_noise import not_noise
 from imucal.frozen import frozen
 from imucal.grading import is_motion
 from imucal.planning import resolution_findings
-from imucal.prediction import self_check
 from imucal.processes import findings_or_why_not, side_by_side
 from imucal.recording import AxisSeries, ReadRange, Recording, Temperature
 from imucal.report.result import AxisReport, Overview, Report
@@ -251,8 +250,8 @@ def _characterize_axis(
     # The rest does not need it, but memory.
     del transform
     opinions: tuple[Finding, ...] = ()
-    if settings.method == "mle" and result.model.terms:
-        opinions = _opinions(finite, result, at_samples, of_curve=settings.second_opinion)
+    if settings.second_opinion and settings.method == "mle" and result.model.terms:
+        opinions = _second_opinion(finite, result, at_samples)
     findings = [f for f in screened if f.axis == series.name]
     if not any(is_motion(finding) for finding in screened):
         # If the IMU moved, only the findings of the screening are useful.
@@ -296,24 +295,16 @@ def _of_fit(result: NoiseFit, series: AxisSeries, density: Spectrum) -> tuple[Fi
     )
 
 
-def _opinions(
-    series: AxisSeries, first: NoiseFit, temperature: FloatArray | None, *, of_curve: bool
+def _second_opinion(
+    series: AxisSeries, first: NoiseFit, temperature: FloatArray | None
 ) -> tuple[Finding, ...]:
-    """Predict one half from the other, and compare with a fit `of_curve`."""
+    """Compare with a fit of the Allan curve."""
     if any(finding.code == "spikes" for finding in first.findings):
         series = clean(series)[0]
-    found: tuple[Finding, ...] = ()
-    if of_curve:
-        found = findings_or_why_not(
-            lambda: second_opinion(first, fit_of_curve(series, first, temperature)),
-            what="The fit of the Allan curve failed",
-            code="second-opinion",
-            axis=series.name,
-        )
-    return found + findings_or_why_not(
-        lambda: self_check(series, first, temperature),
-        what="The prediction of one half from the other failed",
-        code="predicts-badly",
+    return findings_or_why_not(
+        lambda: second_opinion(first, fit_of_curve(series, first, temperature)),
+        what="The fit of the Allan curve failed",
+        code="second-opinion",
         axis=series.name,
     )
 

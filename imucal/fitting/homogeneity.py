@@ -4,13 +4,9 @@ If the segments of a record differ by more than chance, the interval is widened 
 sqrt(Q/dof), because users read it as a prediction of the next record. A misfit of the spectrum also widens
 it; the larger factor counts.
 
-Noise may change faster than the segments show. If the mean squares of the samples' steps in neighbouring
-short windows differ less than in distant ones, the variance changes.
-
 Sources: Cochran (1954), Biometrics 10, 101 (Q); Birge (1932), Physical Review 40, 207 (the ratio);
 DerSimonian & Laird (1986), Controlled Clinical Trials 7, 177 (the spread between segments); Bartlett (1937),
-Proc. R. Soc. A 160, 268, eq. (16) ff. (small samples); von Neumann (1941), Annals of Mathematical Statistics
-12, 367.
+Proc. R. Soc. A 160, 268, eq. (16) ff. (small samples).
 """
 
 import math
@@ -23,23 +19,7 @@ import scipy
 from imucal.arrays import FloatArray
 from imucal.findings import Finding, Level
 from imucal.fitting.noise_fit import CHANCE, Estimate, Interval, Segments, TermHomogeneity, is_slow
-from imucal.frozen import frozen
-from imucal.recording import AxisSeries
 
-#: Largest number of windows; more do not find more.
-_MAX_WINDOWS = 1024
-#: Least number of windows that show a change.
-_MIN_WINDOWS = 24
-#: Least number of samples of a window.
-_MIN_WINDOW_SAMPLES = 128
-#: Steps squared at a time, to stay in the cache.
-_PART = 1 << 16
-#: Score of von Neumann's ratio from which the variance changes.
-_SCORE = 5.0
-#: Least relative standard deviation that is reported.
-_NOTABLE_CHANGE = 0.1
-#: Share of the variance that makes a change periodic.
-_PERIODIC = 0.5
 #: Ratio of lower limit to value below which a slow term's interval is widened linearly, not in logarithms.
 _NARROW = 0.8
 #: Lower limits below this share of the upper limit count as zero.
@@ -52,68 +32,6 @@ SURE = 0.1
 _ONE_SHIFT = 0.85
 #: Relative spread between segments from which the finding is a warning.
 _NOTABLE_SPREAD = 0.05
-
-
-@frozen
-class VarianceChange:
-    """A change of the noise's variance over time.
-
-    `score` is of von Neumann's ratio. `low` and `high` are the 10 % and 90 % quantiles of the windows' noise,
-    relative to their median. `period_s` is None if not periodic.
-    """
-
-    score: float
-    low: float
-    high: float
-    period_s: float | None
-
-
-def find_variance_change(series: AxisSeries) -> VarianceChange | None:
-    """Return the change of the variance of an axis's steps, or None if it is small or due to chance."""
-    count = min(_MAX_WINDOWS, (series.n - 1) // _MIN_WINDOW_SAMPLES)
-    if count < _MIN_WINDOWS:
-        return None
-    edges = np.linspace(0, series.n - 1, count + 1).round().astype(np.int64)
-    squares = np.empty(count)
-    first = 0
-    while first < count:
-        last = max(int(np.searchsorted(edges, edges[first] + _PART, side="right")) - 1, first + 1)
-        steps = np.diff(series.samples[edges[first] : edges[last] + 1])
-        steps *= steps
-        squares[first:last] = np.add.reduceat(steps, edges[first:last] - edges[first])
-        first = last
-    mean = squares / np.diff(edges)
-    if not np.all(mean > 0):
-        return None
-    logs = np.log(mean) / 2
-    logs -= logs.mean()
-    square = float(np.sum(logs * logs))
-    if not square > 0:
-        return None
-    ratio = float(np.sum(np.diff(logs) ** 2)) / square / 2
-    score = (1 - ratio) / math.sqrt((count - 2) / (count**2 - 1))
-    spread = math.sqrt(square / count)
-    if score < _SCORE or spread * math.sqrt(max(1 - ratio, 0.0)) < _NOTABLE_CHANGE:
-        return None
-    low, middle, high = np.quantile(logs, [0.1, 0.5, 0.9]).tolist()
-    return VarianceChange(
-        score=score,
-        low=math.exp(low - middle),
-        high=math.exp(high - middle),
-        period_s=_period(logs, series.duration_s),
-    )
-
-
-def _period(logs: FloatArray, duration_s: float) -> float | None:
-    """Return the period that explains most of the logs' variance, if there are several."""
-    power = np.square(np.abs(np.fft.rfft(logs)))[1:]
-    near = np.convolve(power, np.ones(3), "same")
-    top = int(np.argmax(near))
-    if top < 2 or near[top] < _PERIODIC * power.sum():
-        return None
-    around = np.arange(top - 1, min(top + 2, power.size))
-    frequency = float(np.average(around + 1, weights=power[around]))
-    return duration_s / frequency
 
 
 def homogeneity(
@@ -206,34 +124,24 @@ def _factor(symbol: str, segments: Segments | None, misfits: Mapping[str, float]
     return max(segments.widening(symbol) if segments else 1.0, (misfits or {}).get(symbol, 1.0))
 
 
-def nonstationary_finding(
-    segments: Segments | None, change: VarianceChange | None, axis: str
-) -> tuple[Finding, ...]:
+def nonstationary_finding(segments: Segments | None, axis: str) -> tuple[Finding, ...]:
     """Return a finding on the terms that change."""
     changing = segments.changing if segments else ()
-    sentences = []
-    if segments and changing:
-        factors = {
-            "slow terms" if is_slow(symbol) else symbol: segments.widening(symbol)
-            for symbol in dict.fromkeys(term.symbol for term in changing)
-        }
-        wider = ", ".join(f"{whose} {factor:.3g}" for whose, factor in factors.items())
-        sentences.append(
-            f"The noise is not the same in {segments.start_s.size} parts of the record: "
-            f"{'; '.join(map(_change_of, changing))}. The intervals are wider to allow for it: {wider} times."
-        )
-    if change:
-        over = f"swings with a period of {change.period_s:.3g} s" if change.period_s else "changes over time"
-        sentences.append(
-            f"The variance of the noise {over}: in short windows the noise is {change.low:.2g} to "
-            f"{change.high:.2g} times its median."
-        )
-    if not sentences:
+    if segments is None or not changing:
         return ()
-    notable = change is not None or any(term.spread > _NOTABLE_SPREAD for term in changing)
+    factors = {
+        "slow terms" if is_slow(symbol) else symbol: segments.widening(symbol)
+        for symbol in dict.fromkeys(term.symbol for term in changing)
+    }
+    wider = ", ".join(f"{whose} {factor:.3g}" for whose, factor in factors.items())
+    text = (
+        f"The noise is not the same in {segments.start_s.size} parts of the record: "
+        f"{'; '.join(map(_change_of, changing))}. The intervals are wider to allow for it: {wider} times."
+    )
+    notable = any(term.spread > _NOTABLE_SPREAD for term in changing)
     level: Level = "warning" if notable else "info"
     advice = "Find the cause (temperature, vibration, supply). Another record may differ as much."
-    return (Finding(level, "nonstationary", " ".join(sentences), advice, axis=axis),)
+    return (Finding(level, "nonstationary", text, advice, axis=axis),)
 
 
 def _change_of(term: TermHomogeneity) -> str:

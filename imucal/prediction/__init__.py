@@ -1,8 +1,7 @@
-"""Predictions from fitted models: drift with limits, two numbers for a filter, and a check by halves."""
+"""Predictions from fitted models: drift with limits, and two numbers for a filter."""
 
 from imucal.prediction.drift import Drift, DriftOf, DriftPoint, drift
 from imucal.prediction.filter_numbers import FilterNumbers, filter_numbers
-from imucal.prediction.self_check import half_predictions, self_check
 
 __all__ = [
     "Drift",
@@ -11,6 +10,4 @@ __all__ = [
     "FilterNumbers",
     "drift",
     "filter_numbers",
-    "half_predictions",
-    "self_check",
 ]

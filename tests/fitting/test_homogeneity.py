@@ -8,8 +8,6 @@ import pytest
 from scipy.stats import bartlett, chi2
 
 from imucal.fitting.homogeneity import (
-    VarianceChange,
-    _period,
     bartlett_correction,
     cochran_q,
     homogeneity,
@@ -180,11 +178,11 @@ def test_stationary_or_missing_segments_change_nothing() -> None:
     for found in (None, segments(term("N", 3.0))):
         assert widened(given, found) == given
         npt.assert_array_equal(widened_covariance(("N",), np.eye(1), found), np.eye(1))
-        assert nonstationary_finding(found, None, "gyro_x") == ()
+        assert nonstationary_finding(found, "gyro_x") == ()
 
 
 def test_the_finding_contains_term_factor_and_times() -> None:
-    (found,) = nonstationary_finding(segments(term("N", 700.0)), None, "gyro_x")
+    (found,) = nonstationary_finding(segments(term("N", 700.0)), "gyro_x")
     assert (found.code, found.axis, found.level) == ("nonstationary", "gyro_x", "warning")
     assert "largest from 11.7 to 13.3 min, smallest from 0 to 100 s" in found.text
     assert "The intervals are wider to allow for it: N 10 times." in found.text
@@ -195,19 +193,8 @@ def test_a_small_spread_is_reported_without_a_warning() -> None:
     logs = 0.01 * np.array([0, 1, 0, 1, 0, 1, 0, 1.0])
     weight = np.full(8, 1e6)
     small = homogeneity("N", cochran_q(logs, weight), logs, weight, spans(8))
-    (found,) = nonstationary_finding(segments(small), None, "gyro_x")
+    (found,) = nonstationary_finding(segments(small), "gyro_x")
     assert found.level == "info"
-
-
-def test_a_swing_is_reported_with_and_without_its_period() -> None:
-    """The finding does not depend on the segments."""
-    swing = VarianceChange(score=9.0, low=0.4, high=1.7, period_s=30.0)
-    (found,) = nonstationary_finding(None, swing, "gyro_x")
-    assert found.level == "warning"
-    assert found.text.startswith("The variance of the noise swings with a period of 30 s")
-    unknown = VarianceChange(score=9.0, low=0.4, high=1.7, period_s=None)
-    (found,) = nonstationary_finding(None, unknown, "gyro_x")
-    assert "changes over time" in found.text
 
 
 def test_the_error_for_an_unknown_key_lists_the_tested_terms() -> None:
@@ -241,7 +228,7 @@ def test_only_one_shift_between_two_levels_is_reported(logs: np.ndarray, *, shif
     if found.shift:
         time, factor = found.shift
         assert factor == pytest.approx(np.exp(logs[-1] - logs[0]), rel=0.02)
-        (finding,) = nonstationary_finding(segments(found), None, "gyro_x")
+        (finding,) = nonstationary_finding(segments(found), "gyro_x")
         assert f"N shifts once, at about {time / 60:.3g} min, to {factor:.3g} times" in finding.text
 
 
@@ -257,13 +244,3 @@ def test_the_time_of_a_shift_is_interpolated_in_its_segment() -> None:
 def test_a_weak_term_has_no_shift() -> None:
     """If single segments estimate the term poorly, the change is no evidence of a shift."""
     assert homogeneity("B", 60.0, 3 * LEVELS, np.full(8, 40.0), spans(8)).shift is None
-
-
-@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
-def test_a_period_depends_on_the_shape_of_the_logarithms_only(size: float) -> None:
-    """A cosine with 12 periods has a period and white noise has none, at every amplitude."""
-    places = np.arange(256)
-    cosine = np.cos(2 * np.pi * 12 * places / 256)
-    white = np.random.default_rng(8).standard_normal(256)
-    assert _period(size * cosine, 600.0) == pytest.approx(50.0)
-    assert _period(size * white, 600.0) is None

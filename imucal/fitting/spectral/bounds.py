@@ -115,8 +115,10 @@ def upper_bound(problem: Problem, fitted: Fits, symbol: str) -> Estimate:
     return Estimate.bounded(symbol, symbol, problem.deviation(symbol) * float(np.exp(high / 2)))
 
 
-#: Distances in the criterion from the best with weight 1 and 0.
-_FULL_WEIGHT, _NO_WEIGHT = 6.0, 9.0
+#: Distance in the criterion from the best up to which a model counts in full.
+_FULL_WEIGHT = 6.0
+#: Distance from which it does not count; between the two, limits change steadily.
+_NO_WEIGHT = 9.0
 #: Difference in Akaike's criterion within which the data can't distinguish models.
 _INDISTINGUISHABLE = 4.0
 #: Share of the record from which a Gauss-Markov term's correlation time makes it K.

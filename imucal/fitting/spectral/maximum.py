@@ -196,9 +196,12 @@ _LEAST_OF_OCTAVE = 60
 _DETERMINED = 1.0
 #: Number of correlation times in the dictionary.
 _GRID = 16
-#: Rounds of updates, number of best mixtures of each model, and exponent.
+#: Number of mixtures that no model has.
 _EVERY = 1_000_000
-_THOROUGH, _QUICK = ((25, _EVERY, 0.5), (25, 40, 0.5)), ((6, _EVERY, 1.0), (19, 16, 1.0))
+#: Rounds of updates, number of best mixtures of each model that take part, and exponent of the updates.
+_THOROUGH = ((25, _EVERY, 0.5), (25, 40, 0.5))
+#: The same for many models at once: the larger exponent needs fewer rounds.
+_QUICK = ((6, _EVERY, 1.0), (19, 16, 1.0))
 #: Rows at a time: few enough for the cache and for a single thread.
 _ROWS = 96
 #: Keeps logarithms and squares of inverses finite.

@@ -20,8 +20,6 @@ from imucal.allan.variance import ESTIMATORS
 from imucal.arrays import FloatArray, IntArray
 from imucal.findings import Finding
 from imucal.fitting.homogeneity import (
-    VarianceChange,
-    find_variance_change,
     nonstationary_finding,
     widened,
     widened_covariance,
@@ -114,10 +112,10 @@ def fit_mle(
     sparse = sparse_factor(estimates, wrong)
     factors = {symbol: max(sparse, misfits.get(symbol, 1.0)) for symbol in TERMS}
 
-    def over_time() -> tuple[Segments | None, VarianceChange | None]:
+    def over_time() -> Segments | None:
         if settings.segments < 2:
-            return None, None
-        segments = fit_segments(
+            return None
+        return fit_segments(
             series,
             view.blocks,
             problem,
@@ -127,11 +125,10 @@ def fit_mle(
             wanted=settings.segments,
             band=view.band,
         )
-        return segments, find_variance_change(series)
 
-    (segments, change), not_compared = try_side_work(
+    segments, not_compared = try_side_work(
         over_time,
-        (None, None),
+        None,
         what="The parts of the record are not compared",
         code="nonstationary",
         axis=series.name,
@@ -150,7 +147,7 @@ def fit_mle(
     findings += [*two_levels, *sparse_finding(sparse, series.name)]
     octaves = octave_score(view.ordinates, fitted)
     findings += _misfit_findings(found, octaves, misfits, str(model), series.name)
-    findings += [*not_compared, *nonstationary_finding(segments, change, series.name)]
+    findings += [*not_compared, *nonstationary_finding(segments, series.name)]
     if settings.structure is None:
         findings += choice_findings(choice, series.name)
     white = next(e for e in estimates if e.key == "N")

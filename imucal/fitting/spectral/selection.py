@@ -15,9 +15,10 @@ from imucal.fitting.spectral.ordinates import Ordinates, coarser
 from imucal.frozen import frozen_alone
 from imucal.noise.model import structure_text
 
-#: Distance from the best on coarse bins of models that are fitted on all bins; larger behind an output
-#: filter, whose response adapts only then.
-_REFINED_WITHIN, _REFINED_BEHIND = 25.0, 120.0
+#: Distance from the best on coarse bins of models that are fitted on all bins.
+_REFINED_WITHIN = 25.0
+#: The same behind an output filter, whose response adapts only then.
+_REFINED_BEHIND = 120.0
 #: Largest number of models fitted on all bins.
 _MAX_REFINED = 16
 #: Models whose criterion is within this of the best are listed.

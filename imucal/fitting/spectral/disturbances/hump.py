@@ -16,22 +16,40 @@ from imucal.fitting.spectral.models import COLUMN, Structure, models_of
 from imucal.fitting.spectral.ordinates import Ordinates
 from imucal.frozen import frozen
 
-#: A hump is the run of bins with the largest sum of standardised residuals, each less `_EXCESS`; least sum,
-#: and least ratio of its density to the noise.
-_EXCESS, _SUM, _TIMES = 0.5, 25.0, 3.0
-#: Least number of ordinates below the hump, and share of all above it.
-_BELOW, _ABOVE = 16.0, 0.05
-#: White noise must be this share of the density in the `_NEXT` bins on both sides: otherwise a filter is more
-#: likely. Less is enough for a hump of `_STRONG` times the noise, which no filter makes.
-_WHITE, _WHITE_IF_STRONG, _STRONG, _NEXT = 0.6, 0.4, 10.0, 4
-#: A plateau of `_ABOVE_NOISE` times the noise over `_OCTAVES`, with no lower density below it, is white noise
-#: behind a filter. Its cells of `_CELL` octaves have at least `_COUNT` ordinates and may differ by `_EVEN` in
-#: addition to chance.
-_ABOVE_NOISE, _OCTAVES, _CELL, _COUNT, _EVEN = 1.3, 2.5, 0.5, 200, 0.12
+#: A hump is the run of bins with the largest sum of standardised residuals, each less this.
+_EXCESS = 0.5
+#: Least sum of a hump: chance does not reach it.
+_SUM = 25.0
+#: Least ratio of its density to the noise.
+_TIMES = 3.0
+#: Least number of ordinates below the hump, to know the noise there.
+_BELOW = 16.0
+#: Least share of all ordinates above the hump.
+_ABOVE = 0.05
+#: Number of bins on both sides that show what is next to a hump.
+_NEXT = 4
+#: Least share of white noise in the density of these bins: with less, a filter is more likely.
+_WHITE = 0.6
+#: The same next to a strong hump, which no filter makes.
+_WHITE_IF_STRONG = 0.4
+#: Ratio to the noise of a strong hump.
+_STRONG = 10.0
+#: A plateau with no lower density below it is white noise behind a filter: least ratio to the noise, …
+_ABOVE_NOISE = 1.3
+#: … least width in octaves, …
+_OCTAVES = 2.5
+#: … width in octaves of the cells that are compared, …
+_CELL = 0.5
+#: … least number of ordinates of a cell, …
+_COUNT = 200
+#: … and largest difference of the cells, in addition to chance.
+_EVEN = 0.12
 #: Factor that widens the interval: the next bins may belong to it and be low by chance.
 _GUARD = 1.2
-#: Fits, and the fewest bins of one.
-_ROUNDS, _MIN_BINS = 10, 24
+#: Largest number of fits; the interval is usually the same after three.
+_ROUNDS = 10
+#: Fewest bins of a fit.
+_MIN_BINS = 24
 
 
 @frozen
