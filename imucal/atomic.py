@@ -1,12 +1,12 @@
 """Write files that are complete or unchanged after any failure."""
 
 import os
+import secrets
 import shutil
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from tempfile import mkdtemp
 
 from imucal.errors import Fix, WriteError
 
@@ -27,12 +27,10 @@ def replacing(path: Path, *, ours: str | None = None) -> Iterator[Path]:
     WriteError if the file can't be written or must not be replaced.
     """
     _refuse_foreign(path, ours)
+    # The name is known before the folder exists, so that Ctrl-C right after its creation removes it too.
+    folder = path.parent / f".{path.name}.{secrets.token_hex(8)}"
     try:
-        folder = Path(mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-    except OSError as error:
-        problem = f"can't be written: {error.strerror or error}"
-        raise WriteError(problem, place=path, fix=Fix("choose another place")) from error
-    try:
+        _make_scratch(folder, path)
         scratch = folder / path.name
         yield scratch
         if scratch.is_file():
@@ -45,6 +43,14 @@ def replacing(path: Path, *, ours: str | None = None) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             shutil.rmtree(folder)
+
+
+def _make_scratch(folder: Path, path: Path) -> None:
+    try:
+        folder.mkdir(mode=0o700)
+    except OSError as error:
+        problem = f"can't be written: {error.strerror or error}"
+        raise WriteError(problem, place=path, fix=Fix("choose another place")) from error
 
 
 def _refuse_foreign(path: Path, ours: str | None) -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from imucal import atomic
 from imucal.atomic import replacing
 from imucal.errors import WriteError
 
@@ -63,3 +64,16 @@ def test_a_device_is_not_replaced() -> None:
     ):
         pass
     assert not Path("/dev/null").is_file()
+
+
+def test_ctrl_c_right_after_the_scratch_folder_is_made_removes_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(folder: Path, _: Path) -> None:
+        folder.mkdir()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(atomic, "_make_scratch", interrupted)
+    with pytest.raises(KeyboardInterrupt), replacing(tmp_path / "log.csv"):
+        pass
+    assert list(tmp_path.iterdir()) == []
