@@ -274,7 +274,7 @@ CHANGES = {
 
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_change_of_level_is_named_and_k_may_be_zero(name: str) -> None:
-    """The warning has the time of the change, in at least 3 of 4 records."""
+    """The finding has the time of the change, in at least 3 of 4 records."""
     named, without = 0, 0
     for seed in range(80, 84):
         fit = fitted(noise(seed, "N=1e-4 + B=2e-5") + CHANGES[name], rate_hz=10.0)
@@ -285,9 +285,29 @@ def test_a_change_of_level_is_named_and_k_may_be_zero(name: str) -> None:
                 assert around is not None
                 place = 0.4 if name == "level" else 0.6
                 named += abs(float(around[1]) / T[-1] - place) < 0.1
-                assert finding.level == "warning"
     assert named >= 3
     assert without >= 3
+
+
+def test_a_change_of_level_that_is_likelier_than_a_walk_is_a_warning() -> None:
+    """Twice the change in two thirds of the time is a warning in at least 3 of 4 records."""
+    levels = []
+    for seed in range(80, 84):
+        change = 2e-4 * (1 + np.tanh((T - 0.4 * T[-1]) / (0.05 * T[-1])))
+        fit = fitted(noise(seed, "N=1e-4 + B=2e-5") + change, rate_hz=10.0)
+        levels += [finding.level for finding in fit.findings if finding.code == "level-doubtful"]
+    assert levels.count("warning") >= 3
+
+
+def test_a_short_walk_that_resembles_a_change_of_level_is_no_warning() -> None:
+    """Of 20 short records with a walk at most one has the warning, and some have the info."""
+    levels = []
+    for seed in range(20):
+        samples = simulated("N=1.5e-4 + K=1.2e-5", 36_000, seed, rate_hz=50.0)
+        fit = fitted(samples, rate_hz=50.0)
+        levels += [finding.level for finding in fit.findings if finding.code == "level-doubtful"]
+    assert levels.count("warning") <= 1
+    assert "info" in levels
 
 
 def test_a_random_walk_is_reported_despite_the_search_for_warm_ups() -> None:

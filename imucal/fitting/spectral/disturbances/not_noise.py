@@ -49,6 +49,8 @@ _VISIBLE = 0.1
 _SETTLED = 3.0
 #: Standard deviations within which a smooth change of level takes place.
 _WIDE = 4.0
+#: Excess of a change of level from which a walk is the unlikely reading: 2 of 117 short walks have more.
+_LIKELY = 6.0
 #: Share of the record within which jumps in one direction are one shift.
 _ONE_SHIFT = 0.02
 
@@ -280,7 +282,8 @@ def doubtful_findings(
         size = _amount(level, series, scale)
         shape = f"{level.shape.description} of {size} around {place:.3g} s, within about {within:.2g} s"
         advice = "Look for heating, air conditioning or a load at that time, and record without it."
-        findings.append(_doubtful("warning", "level-doubtful", shape, advice, series))
+        importance: Level = "warning" if level.excess > _LIKELY else "info"
+        findings.append(_doubtful(importance, "level-doubtful", shape, advice, series))
     return tuple(findings)
 
 

@@ -111,12 +111,14 @@ class Disturbance(Generic[_Shape_co]):
     """A shape in the samples that is not noise, such as a temperature, a warm-up, a step or a cycle.
 
     A cycle has two `regressors`, the others one. `size` are the coefficients in scaled units. `price` is the
-    gain that the shape needs in addition to a margin.
+    gain that the shape needs in addition to a margin. `excess` is the gain of a rival of a walk
+    beyond the gain that makes both equally likely.
     """
 
     regressors: tuple[_Shape_co, ...]
     price: float
     size: tuple[float, ...] = ()
+    excess: float = 0.0
 
     @property
     def shape(self) -> _Shape_co:
@@ -298,7 +300,8 @@ def _rival(
     fits = _fits(low, [(*taken, *one.regressors) for one in rivals], ("N", "B", "R"))
     excess = 2 * (base.objective[0] - fits.objective) - np.array([*rivals.values()])
     row = int(np.argmax(excess))
-    return _sized([[*rivals][row]], fits, row) if excess[row] > 0 else ()
+    likeliest = replace([*rivals][row], excess=float(excess[row]))
+    return _sized([likeliest], fits, row) if likeliest.excess > 0 else ()
 
 
 def _step(
