@@ -22,6 +22,7 @@ from imucal.cli.options import (
 from imucal.cli.param_types import DURATION, Text
 from imucal.prediction import Drift, drift
 from imucal.prediction.drift import STRETCHES
+from imucal.prediction.left_out import causes, left_out_of_model
 from imucal.report import numbers
 from imucal.units import duration
 from imucal.user_input import seconds_of
@@ -103,6 +104,14 @@ def command(
         print_json(to_document(found))
     else:
         echo(_table(found))
+    for axis in report.axes:
+        if more := left_out_of_model(axis.fit, axis.fit.model.terms):
+            ratios = ", ".join(f"{ratio:.2g} x at {time:g} s" for time, ratio in more.ratios)
+            print_note(
+                f"warning: {axis.name} drifts more than this, because the fit leaves out "
+                f"{causes({finding.code for finding in axis.findings})}: the Allan deviation of the log over "
+                f"that of the model is {ratios}"
+            )
     if out:
         from imucal.atomic import replacing
         from imucal.report.figure import render

@@ -37,7 +37,7 @@ from imucal.recording import Sensor
 from imucal.remote.addresses import shown as shown_address
 from imucal.report import exports
 from imucal.report.exports.config_numbers import INFLATABLE, AxisPolicy, Basis
-from imucal.report.exports.target import name_key
+from imucal.report.exports.target import left_out_causes, name_key
 from imucal.report.json_file import load
 from imucal.report.result import Report
 
@@ -207,7 +207,7 @@ def command(
     names = tuple(exports.TARGETS) if "all" in targets else _names(targets)
     texts = {exports.TARGETS[name].file_name: exports.render(report, name, chosen) for name in names}
     _write(texts, out, several=len(names) > 1)
-    for text in _remarks(report, chosen.numbers):
+    for text in (*_remarks(report, chosen.numbers), *_left_out(report, names, chosen)):
         print_note(text)
 
 
@@ -281,6 +281,21 @@ def _names(asked: tuple[str, ...]) -> tuple[str, ...]:
         if not target.is_called(name):
             print_note(f"{name}: written as {target.name} ({target.title})")
     return tuple(dict.fromkeys(target.name for target in found.values()))
+
+
+def _left_out(report: Report, names: Iterable[str], chosen: exports.ExportOptions) -> Iterator[str]:
+    """Yield a warning for each axis whose log contains more noise than the numbers of the files."""
+    warned = set()
+    for target in map(exports.find_target, names):
+        numbers = target.numbers(report, chosen)
+        for axis, more in numbers.left_out(per_axis=target.per_axis):
+            if axis.name not in warned:
+                warned.add(axis.name)
+                remedy = f"; --inflate white={numbers.white_to_include(more)} includes it" * numbers.covers
+                yield (
+                    f"warning: {axis.name}: the log contains more noise than the numbers of {target.name}, "
+                    f"because the fit leaves out {left_out_causes(axis)}{remedy}"
+                )
 
 
 def _remarks(report: Report, numbers: Basis) -> Iterator[str]:

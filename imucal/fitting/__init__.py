@@ -129,4 +129,12 @@ def fit_axis(
     elif cleaned is not series:
         curve = same_curve(cleaned, curve, transform)
     result = method(cleaned, curve, settings, temperature, transform)
-    return replace(result, findings=findings + result.findings)
+    goodness = replace(result.goodness, spikes=_rms_difference(series, cleaned))
+    return replace(result, findings=findings + result.findings, goodness=goodness)
+
+
+def _rms_difference(series: AxisSeries, cleaned: AxisSeries) -> float:
+    """Return the root of the mean square of what cleaning removed, in U."""
+    if cleaned is series:
+        return 0.0
+    return float(np.sqrt(np.mean((series.samples - cleaned.samples) ** 2)))

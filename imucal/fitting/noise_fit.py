@@ -227,7 +227,8 @@ class Goodness:
     """How well the model describes the fitted data.
 
     `statistic` is a standard-normal score of the misfit; `chi2_per_bin`, the mean squared standardised
-    residual, is 1 if the model is right. `band_hz` or `tau_s` is the fitted range.
+    residual, is 1 if the model is right. `band_hz` or `tau_s` is the fitted range. The fit leaves out
+    `lines` and spikes; `spikes` is the root of their mean square over all samples, in U.
     """
 
     statistic: float
@@ -236,6 +237,7 @@ class Goodness:
     band_hz: tuple[float, float] | None = None
     tau_s: tuple[float, float] | None = None
     lines: tuple[Line, ...] = ()
+    spikes: float = 0.0
 
 
 @frozen

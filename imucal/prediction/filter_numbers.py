@@ -95,6 +95,10 @@ class FilterNumbers:
     excess: float
     basis: Literal["spectrum", "curve"] = "spectrum"
 
+    def slow_avar(self, t: FloatArray) -> FloatArray:
+        """Return the Allan variance of the slow bias at times in s, in U²."""
+        return self.walk**2 * _drift_of(self.correlation_time_s, self.step_s)(t)
+
     @property
     def sigma(self) -> float:
         """Steady-state deviation of a Gauss-Markov bias, in U; infinite for a walk."""
@@ -145,11 +149,7 @@ def filter_numbers(
         raise ArgumentError(msg)
     caution = Caution.at(LEVEL, fits[0].level) if len(fits) == 1 else MEAN
     join: Join = np.max if joined == "worst" else np.mean
-    bias = TERMS["K"].of(1.0) if time_s is None else GaussMarkov(sigma=math.sqrt(time_s / 2), T=time_s)
-
-    def drift(t: FloatArray) -> FloatArray:
-        return bias.avar(t * _FINE / step_s, step_s / _FINE)
-
+    bias, drift = _unit_bias(time_s), _drift_of(time_s, step_s)
     if any(map(_has_no_likelihood, fits)):
         goal = _of_curves(fits, drift, step_s, horizon_s)
     else:
@@ -181,6 +181,17 @@ def filter_numbers(
         excess=math.exp(prices[best] / 2),
         basis=goal.basis,
     )
+
+
+def _unit_bias(time_s: float | None) -> NoiseTerm:
+    """Return a walk, or a Gauss-Markov bias, whose driving noise has the density 1."""
+    return TERMS["K"].of(1.0) if time_s is None else GaussMarkov(sigma=math.sqrt(time_s / 2), T=time_s)
+
+
+def _drift_of(time_s: float | None, step_s: float) -> Callable[[FloatArray], FloatArray]:
+    """Return the Allan variance of this bias, as a function of the time in s."""
+    bias = _unit_bias(time_s)
+    return lambda t: bias.avar(t * _FINE / step_s, step_s / _FINE)
 
 
 def _has_no_likelihood(fit: NoiseFit) -> bool:

@@ -1,7 +1,9 @@
 """`imucal export`: files, streams and exit codes."""
 
+import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -152,3 +154,23 @@ def test_a_log_is_characterised_first(tmp_path: Path) -> None:
     assert all(value > 0 for value in values.values())
     assert "too_short.db3" in done.stdout
     assert list(tmp_path.iterdir()) == []
+
+
+def test_noise_that_the_fit_leaves_out_is_named_and_the_suggested_factor_includes_it(tmp_path: Path) -> None:
+    """Spikes are no part of N, but a filter meets them."""
+    rng = np.random.default_rng(5704)
+    samples = 1e-3 * rng.standard_normal((30_000, 3))
+    samples[rng.integers(0, 30_000, 15), 1] = 0.05
+    table = np.column_stack([np.arange(30_000) / 100, samples])
+    np.savetxt(tmp_path / "spikes.csv", table, delimiter=",", header="t,gx,gy,gz", comments="", fmt="%.9g")
+    assert run("fit", "spikes.csv", "--gyro-unit", "rad/s", "-o", "r", "-q", cwd=tmp_path).returncode == 0
+    done = run("export", "r", "--to", "kalibr", "-o", "-", cwd=tmp_path)
+    text = "gyro_y: the log contains more noise than these numbers, because the fit leaves out spikes"
+    assert text in done.stdout
+    suggested = re.findall(r"--inflate (white=\S+) includes it", done.stdout + done.stderr)
+    assert len(suggested) == 2
+    done = run("export", "r", "--to", "kalibr", "-o", "-", "--inflate", suggested[0], cwd=tmp_path)
+    assert text not in done.stdout
+    assert "more noise" not in done.stderr
+    done = run("drift", "r", "--times", "1s", cwd=tmp_path)
+    assert "gyro_y drifts more than this, because the fit leaves out spikes" in done.stderr

@@ -22,6 +22,7 @@ from imucal.prediction.filter_numbers import (
     FilterNumbers,
     correlation_times,
 )
+from imucal.prediction.left_out import LeftOut, left_out, left_out_of_model
 from imucal.recording import Axis, Sensor
 from imucal.report.result import AxisReport, Report
 
@@ -273,6 +274,35 @@ class Numbers:
         for sensor in self.sensors:
             for axes in zip(self.triad(sensor)) if per_axis else [self.chosen(sensor)]:
                 yield axes, self.pair(axes)
+
+    def left_out(self, *, per_axis: bool) -> Iterator[tuple[AxisReport, LeftOut]]:
+        """Yield the axes whose measured noise is clearly larger than that of the file's numbers.
+
+        Of the axes that share numbers, the one that needs the most white noise.
+        """
+        groups = (
+            self.pairs(per_axis=per_axis) if self.covers else (((axis,), None) for axis in self.report.axes)
+        )
+        for axes, pair in groups:
+            found = [(axis, more) for axis in axes if (more := self._beyond(axis.fit, pair)) is not None]
+            if found:
+                yield max(found, key=lambda each: each[1].white)
+
+    def _beyond(self, fit: NoiseFit, pair: FilterNumbers | None) -> LeftOut | None:
+        if pair is not None:
+            white = pair.white
+            return left_out(fit, lambda t: white**2 / t, pair.slow_avar)
+        factor = self.options.factor
+        terms = [
+            term.of(term.coefficient * factor(term.symbol), *term.values[1:]) for term in fit.model.terms
+        ]
+        return left_out_of_model(fit, terms)
+
+    def white_to_include(self, more: LeftOut) -> str:
+        """Return the factor of ``--inflate white=…`` that includes what was left out, rounded up."""
+        factor = self.options.factor("N") * more.white
+        step = 10.0 ** (math.floor(math.log10(factor)) - 1)
+        return f"{math.ceil(factor / step) * step:.3g}"
 
     def _inflated(self, fit: NoiseFit) -> NoiseFit:
         factor, symbols = self.options.factor("B"), INFLATABLE["flicker"]
