@@ -1,6 +1,5 @@
 """Columns of a table, and the columns text of users: ``t=0,g=1:4,a=4:7``, or ``t=0,gz=1``."""
 
-import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from typing import Self
@@ -257,13 +256,6 @@ def _problems(
             yield f"column {index} is named twice; {way}"
 
 
-def _pivoted(table: NamedTable) -> str:
-    """Return a command that writes a table of time, kind and value as one with a column for each kind."""
-    time, kind, value = (column.header.strip("\"'") for column in table.columns)
-    code = f"pl.read_csv(sys.argv[1]).pivot({kind!r}, index={time!r}, values={value!r}).write_csv('log.csv')"
-    return f'python -c "import polars as pl, sys; {code}" {shlex.quote(table.path)}'
-
-
 def _problems_of(
     table: NamedTable, key: str, found: Mapping[str, tuple[int, ...]], rows: Mapping[str, Rows]
 ) -> Iterator[str]:
@@ -275,7 +267,7 @@ def _problems_of(
     if len({rows[one] for one in single}) > 1:
         way = ""
         if len(table.columns) == 3:
-            way = f"; for a table with one value a row type: {_pivoted(table)}"
+            way = "; write a table with one value a row as one with a row for each sample"
         yield f"{' and '.join(single)} are of different rows; expected the same{way}"
     if key in found and len(found[key]) != 3:
         yield f"{key} names {len(found[key])} columns, expected 3; for one axis write {key}z={found[key][0]}"

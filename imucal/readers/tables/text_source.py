@@ -22,8 +22,8 @@ from imucal.errors import ReadError
 from imucal.findings import Finding
 from imucal.readers.compression import most_unpacked
 from imucal.readers.files import refused, refusing, require_file
+from imucal.readers.foreign import LOGGERS, TEXTS, advice_on
 from imucal.readers.read_options import Progress
-from imucal.readers.ways_out import LOGGERS, TEXTS, way_out
 from imucal.recording import LogFileInfo
 
 STANDARD_INPUT = "-"
@@ -252,11 +252,11 @@ class TextSource(AbstractContextManager["TextSource"]):
         """Return why the head contains too few lines, and the next step."""
         counts = {mark: self._start.count(mark.encode()) for mark in (",", ";", "\t", " ")}
         mark, cells = max(counts.items(), key=itemgetter(1))
-        way = way_out(self.name, self._start, (*TEXTS, *LOGGERS))
-        if self.whole or cells < _MAX_CELLS or way:
+        advice = advice_on(self._start, (*TEXTS, *LOGGERS))
+        if self.whole or cells < _MAX_CELLS or advice:
             found = "is empty" if self.whole else "has too few line ends in its first 256 KiB"
             found = f"{found} ({self.findings[0].text})" if self.findings else found
-            return f"the text {found}; {way or 'expected a table of numbers'}"
+            return f"the text {found}; {advice or 'expected a table of numbers'}"
         cut = f"cut -d '{mark}' -f 1-7" if mark != "\t" else "cut -f 1-7"
         return (
             f"its first lines are longer than 256 KiB, or at least {cells} columns; expected the few "

@@ -22,6 +22,7 @@ from imucal.readers.builder import RecordingBuilder
 from imucal.readers.compression import keep_freed_memory, most_unpacked
 from imucal.readers.contents import LogContents
 from imucal.readers.files import first_bytes, refused
+from imucal.readers.foreign import CURVES, LOGGERS, TEXTS, advice_on
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.tables.columns import ColumnsError, NamedTable
 from imucal.readers.tables.dialects import find_json, name_columns
@@ -48,7 +49,6 @@ from imucal.readers.tables.tabular import (
 )
 from imucal.readers.tables.text_blocks import BlockReader, Kind, kind_of
 from imucal.readers.tables.text_source import STANDARD_INPUT, LongerError, TextSource, open_text
-from imucal.readers.ways_out import CURVES, LOGGERS, TEXTS, way_out
 from imucal.recording import Recording, Sensor, span_ns
 from imucal.resources import column_limit
 
@@ -59,18 +59,18 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
     Raises ReadError if it has no rows of numbers, ChoiceError if its header does not fit them.
     """
     start = "\n".join(lines).encode()
-    if way := way_out(path, start, CURVES if options.columns else (*CURVES, *LOGGERS)):
-        raise refused(path, way)
+    if advice := advice_on(start, CURVES if options.columns else (*CURVES, *LOGGERS)):
+        raise refused(path, advice)
     if objects := find_json(lines):
         return objects
     layout = find_layout(lines)
-    way = way_out(path, start, TEXTS)
-    if layout is None or (way and not layout.headers):
+    advice = advice_on(start, TEXTS)
+    if layout is None or (advice and not layout.headers):
         first = next(filter(None, map(str.strip, lines)), "")
-        expected = way or "expected a table with a row per sample"
+        expected = advice or "expected a table with a row per sample"
         raise refused(path, f"found no rows of numbers; the first line is {first[:80]!r}; {expected}")
-    if not layout.headers and (way := _other_rows(path, layout)):
-        raise refused(path, way)
+    if not layout.headers and (advice := _other_rows(layout)):
+        raise refused(path, advice)
     layout = name_columns(layout)
     if options.columns is None and not layout.headers:
         problem = f"the {layout.width} columns have no header"
@@ -80,20 +80,16 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
     return layout
 
 
-def _other_rows(path: str, layout: TextLayout) -> str:
+def _other_rows(layout: TextLayout) -> str:
     """Return advice for a table with a row per axis, or with two separators, or an empty text."""
-    log, delimiter = shlex.quote(path), layout.delimiter
     if layout.width > _MAX_COLUMNS and all(row and not is_number(row[0]) for row in layout.rows):
-        own = "" if delimiter == "," else f", delimiter={delimiter!r}"
-        rows = f"zip(*csv.reader(open(sys.argv[1]){own}))"
-        command = f'python -c "import csv, sys; csv.writer(sys.stdout).writerows({rows})" {log} > log.csv'
-        return f"it has a row for each axis, expected a row per sample; type: {command}"
+        return "it has a row for each axis, expected a row per sample; exchange its rows and columns"
     cells = [cell for row in layout.rows[:3] for cell in row]
     for other in ",;\t":
         several = any(sum(map(is_number, cell.split(other))) > 2 for cell in cells)
-        if several and other != delimiter != BLANKS:
-            marks, command = f"{delimiter!r} and {other!r}", f"tr {other!r} {delimiter!r} < {log} > log.csv"
-            return f"its rows contain two separators, {marks}; type: {command}"
+        if several and other != layout.delimiter != BLANKS:
+            marks = f"{layout.delimiter!r} and {other!r}"
+            return f"its rows contain two separators, {marks}; replace one by the other"
     return ""
 
 
@@ -146,8 +142,8 @@ def read_table(
         if reader.good:
             sensors += _columns(reader, part)
     if not sensors:
-        way = way_out(source.name, "\n".join(source.head).encode(), LOGGERS)
-        text = f"the table has no rows of its sensors; {way or 'expected a row per sample'}"
+        advice = advice_on("\n".join(source.head).encode(), LOGGERS)
+        text = f"the table has no rows of its sensors; {advice or 'expected a row per sample'}"
         raise refused(source.name, text, DataError)
     findings += plan.findings
     work = RecordingBuilder(

@@ -20,6 +20,7 @@ from imucal.findings import Finding
 from imucal.frozen import frozen, frozen_alone
 from imucal.readers.contents import LogContents
 from imucal.readers.files import first_bytes, refused
+from imucal.readers.foreign import OBJECTS_IN_NPZ
 from imucal.readers.isolation import isolated, require
 from imucal.readers.message_logs import OpenLog, read_log
 from imucal.readers.messages.topics import HELD_ROWS, Column, Topic, held_topic
@@ -29,7 +30,6 @@ from imucal.readers.tables.columns import ColumnsError
 from imucal.readers.tables.npz import is_numeric, npy_array, npz_arrays
 from imucal.readers.tables.passed import PIECE, Notes, Part, Passed, RefusedError, taken, written
 from imucal.readers.tables.tabular import contents_of, refuse_topics, with_more
-from imucal.readers.ways_out import OBJECTS_IN_NPZ
 from imucal.recording import Recording
 
 #: Most columns of a list or a matrix.
@@ -187,7 +187,7 @@ def open_table(path: Path) -> TableFile:
         # `zipfile`, Python's parser and others have their own errors.
         raise refused(path, f"not a readable {kind} file: {str(error) or type(error).__name__}") from error
     if notes.objects:
-        raise refused(path, f"not a readable {kind} file: {OBJECTS_IN_NPZ.advice(str(path))}")
+        raise refused(path, f"not a readable {kind} file: {OBJECTS_IN_NPZ.advice}")
     return _of_arrays(kind.lower(), arrays, notes)
 
 

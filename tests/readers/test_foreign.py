@@ -1,13 +1,10 @@
-"""Unsupported formats: the error names the format and a way to convert it, and that way works."""
+"""Unsupported formats: the error names the format and says what to do."""
 
 import json
 import lzma
 import pickle
 import re
-import shutil
 import struct
-import subprocess
-import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -49,17 +46,6 @@ def is_truth(path: Path, **options: Any) -> None:  # noqa: ANN401 - options of a
     np.testing.assert_allclose(recording.axis("accelerometer", "z").samples, truth().accel[:, 2], rtol=1e-12)
 
 
-def typed(message: str, folder: Path) -> Path:
-    """Run the command in a message with this interpreter, and return the file that it wrote."""
-    command = message[message.index("python -c ") :]
-    before = set(folder.iterdir())
-    shell = shutil.which("bash") or "sh"
-    here = command.replace("python", sys.executable, 1)
-    subprocess.run([shell, "-c", here], cwd=folder, check=True)  # noqa: S603 - what the message says
-    (made,) = set(folder.iterdir()) - before
-    return made
-
-
 def write_pickle(path: Path) -> None:
     with path.open("wb") as file:
         pickle.dump(columns(), file)
@@ -79,10 +65,13 @@ def objects() -> np.ndarray[Any, Any]:
 
 
 #: The writer of each file, and the format's name in the message.
-WITH_COMMAND: dict[str, tuple[Callable[[Path], object], str]] = {
-    "log.pkl": (write_pickle, "a Python pickle, which may run any program when it is loaded"),
+WRITTEN: dict[str, tuple[Callable[[Path], object], str]] = {
+    "log.pkl": (
+        write_pickle,
+        "a Python pickle, which may run any program when it is loaded",
+    ),
     "log.feather": (lambda path: pl.DataFrame(columns()).write_ipc(path), r"an Arrow \(Feather\) file"),
-    "it's one log.json": (lambda path: path.write_text(json.dumps(rows())), "JSON in one piece"),
+    "one log.json": (lambda path: path.write_text(json.dumps(rows())), "JSON in one piece"),
     "pretty.json": (lambda path: path.write_text(json.dumps(rows(), indent=1)), "JSON in one piece"),
     "lists.json": (
         lambda path: path.write_text(json.dumps({k: v.tolist() for k, v in columns().items()})),
@@ -94,30 +83,22 @@ WITH_COMMAND: dict[str, tuple[Callable[[Path], object], str]] = {
         "JSON in one piece",
     ),
     "dicts.txt": (lambda path: write_lines(path, repr), "lines of Python dicts"),
-    "dict.npy": (lambda path: np.save(path, np.array(columns(), dtype=object)), "a Python object"),
+    "dict.npy": (lambda path: np.save(path, np.array(columns(), dtype=object)), "an array of Python objects"),
+    "array.npy": (lambda path: np.save(path, objects()), "an array of Python objects"),
     "objects.npz": (
         lambda path: np.savez(path, **{k: v.astype(object) for k, v in columns().items()}),  # type: ignore[arg-type]
-        "arrays of Python objects",
+        "arrays of Python objects; save them with numbers as dtype",
     ),
 }
 
 
-@pytest.mark.parametrize("name", WITH_COMMAND)
-def test_the_command_in_the_message_converts_the_file(name: str, tmp_path: Path) -> None:
-    """The written file has all digits."""
-    write, what = WITH_COMMAND[name]
+@pytest.mark.parametrize("name", WRITTEN)
+def test_the_error_for_a_format_of_a_program_names_it(name: str, tmp_path: Path) -> None:
+    """The file is written by the program that reads it."""
+    write, what = WRITTEN[name]
     path = tmp_path / name
     write(path)
-    message = refused(path)
-    assert re.search(what, message)
-    is_truth(typed(message, tmp_path))
-
-
-def test_an_array_of_objects_is_converted_to_numbers(tmp_path: Path) -> None:
-    """The columns of the array have no names, so reading needs a columns text."""
-    path = tmp_path / "array.npy"
-    np.save(path, objects())
-    is_truth(typed(refused(path), tmp_path), columns="t=0,g=1:4,a=4:7")
+    assert re.search(f"it is {what}|not a readable NPZ file: it is {what}", refused(path))
 
 
 def write_workbook(path: Path) -> None:
@@ -133,10 +114,13 @@ def write_document(path: Path) -> None:
 
 #: First bytes of other formats, and a part of the message.
 NAMED: dict[str, tuple[bytes, str]] = {
-    "log.xls": (bytes.fromhex("d0cf11e0a1b11ae1"), r"an old Excel workbook; save the sheet .* as CSV"),
+    "log.xls": (
+        bytes.fromhex("d0cf11e0a1b11ae1"),
+        "an old Excel workbook; export it as CSV, with a row",
+    ),
     "LOG00001.BFL": (
         b"H Product:Blackbox flight data recorder by Nicholas Sherlock\nH Data version:2\n",
-        r"a blackbox of Betaflight, INAV or Cleanflight; decode it with blackbox_decode \S*LOG00001\.BFL",
+        "a blackbox of Betaflight, INAV or Cleanflight; decode it with blackbox_decode, which writes a CSV",
     ),
     "log.tdms": (b"TDSm", "a TDMS file of National Instruments; export it as CSV"),
     "log.mtb": (b"\xfa\xff\x36", "Xsens' binary messages; open it in MT Manager and export it as ASCII"),
@@ -162,21 +146,17 @@ def test_the_error_for_a_foreign_format_contains_a_solution(name: str, tmp_path:
 @pytest.mark.parametrize(
     "header", ["tau,adev", "taus;deviation", '"Averaging time [s]"\tadev', "tau(s),gyro_x"]
 )
-def test_an_allan_curve_is_refused_with_python_code_that_fits_it(header: str, tmp_path: Path) -> None:
-    """The code also works if the deviations have the name of a gyroscope axis, or the table is short."""
+def test_an_allan_curve_is_refused(header: str, tmp_path: Path) -> None:
+    """Also if the deviations have the name of a gyroscope axis, or the table is short."""
     path = tmp_path / "my curve.csv"
     mark = next(mark for mark in ",;\t" if mark in header)
     times = [0.01 * 2**k for k in range(12)]
     lines = [header, *(f"{t:.10g}{mark}{1e-3 / t**0.5:.10g}" for t in times)]
     path.write_text("\n".join(lines[:3]), encoding="utf-8")
     message = refused(path)
-    assert "it is a table of Allan deviations; only Python fits such tables; if it has two" in message
+    assert "it is a table of Allan deviations; give the log from which it was computed" in message
     path.write_text("\n".join(lines), encoding="utf-8")
     assert refused(path) == message
-    shell = shutil.which("bash") or "sh"
-    here = message[message.index("python -c ") :].replace("python", sys.executable, 1)
-    done = subprocess.run([shell, "-c", here], check=True, capture_output=True, text=True)  # noqa: S603
-    assert re.search(r"^ *N +1\.000 \[.*\] ×10⁻³$", done.stdout, re.MULTILINE), done.stdout
 
 
 def test_the_table_of_imucal_adev_is_refused(tmp_path: Path) -> None:
@@ -191,7 +171,7 @@ def test_the_error_for_a_spreadsheet_advises_csv(write: Callable[[Path], None], 
     """The saved CSV is read, also with semicolons and decimal commas."""
     path = tmp_path / "log.xlsx"
     write(path)
-    assert refused(path).endswith("save the sheet with the samples as CSV (File, Save As, CSV)")
+    assert refused(path).endswith("export it as CSV, with a row for each sample")
     pl.DataFrame(columns()).write_csv(tmp_path / "log.csv")
     is_truth(tmp_path / "log.csv")
     text = (tmp_path / "log.csv").read_text().replace(",", ";").replace(".", ",")
