@@ -61,8 +61,12 @@ _DIVERGENT = 1 - 1e-6
 _NEGLIGIBLE = 1e-14
 #: Growth of the phase of sin^4 in a piece from which it is integrated with cosines.
 _CALM = 4.0
-#: Relative error requested, largest one accepted, and largest number of subdivisions.
-_TOLERANCE, _WORST, _HALVINGS = 1e-11, 1e-6, 200
+#: Relative error requested.
+_TOLERANCE = 1e-11
+#: Largest relative error accepted.
+_WORST = 1e-6
+#: Largest number of subdivisions.
+_HALVINGS = 200
 
 
 #: Distances from a break at which pieces end, relative to its frequency.

@@ -22,13 +22,20 @@ from imucal.frozen import frozen_alone
 _INVISIBLE = -30.0
 #: Starting value of an absent part, as a share of the spectrum.
 _SHARE = 0.1
-#: Longest step of a log, and largest number of steps.
-_STEP, _STEPS = 1.5, 100
+#: Longest step of a log.
+_STEP = 1.5
+#: Largest number of steps.
+_STEPS = 100
 #: Gain of the log-likelihood that ends the search.
 _CLOSE = 1e-5
-#: Scan of scale 2: the first end in its deviations, the number of ends, grid points between the ends, and
-#: scoring steps of scale 1 at each.
-_FIRST_REACH, _WIDER, _GRID, _SCORINGS = 1.2, 12, 32, 3
+#: First end of the scan of scale 2, in its deviations; each next one is 1.5 times as far.
+_FIRST_REACH = 1.2
+#: Number of ends to try on each side.
+_WIDER = 12
+#: Grid points between the ends.
+_GRID = 32
+#: Scoring steps of scale 1 at each point: it starts near its maximum.
+_SCORINGS = 3
 _TINY = 1e-12
 
 

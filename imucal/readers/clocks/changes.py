@@ -9,18 +9,28 @@ import numpy as np
 from imucal.arrays import BoolArray, FloatArray, IntArray, median, percentile
 from imucal.frozen import frozen
 
-#: Most windows; fewest and most samples in each.
-_MAX_WINDOWS, _MIN_SAMPLES, _MAX_SAMPLES = 400, 32, 512
-#: Fewest windows of a part, and least share of them.
-_MIN_WINDOWS, _MIN_SHARE = 8, 0.04
-#: Of two rates, and of their short steps.
-_MIN_RATIO, _MIN_SHORT_RATIO = 1.4, 1.3
+#: Most windows: enough to place a change within a share of the log.
+_MAX_WINDOWS = 400
+#: Fewest samples in a window.
+_MIN_SAMPLES = 32
+#: Most samples in a window.
+_MAX_SAMPLES = 512
+#: Fewest windows of a part with a rate of its own.
+_MIN_WINDOWS = 8
+#: Least share of the windows in a part with a rate of its own.
+_MIN_SHARE = 0.04
+#: Least ratio of two rates: a smaller one may be losses.
+_MIN_RATIO = 1.4
+#: Least ratio of the short steps at two rates.
+_MIN_SHORT_RATIO = 1.3
 #: A longer step, in long steps, is a gap.
 _GAP = 8
 #: Least span of a window, in short steps.
 _MIN_TICKS = 8
 #: A rate is stable if this share of the windows is near the median.
-_STABLE, _NEAR = 0.6, 0.2
+_STABLE = 0.6
+#: Relative distance from the median within which a window is near it.
+_NEAR = 0.2
 
 
 @frozen

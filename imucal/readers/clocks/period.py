@@ -17,8 +17,10 @@ from imucal.frozen import frozen
 from imucal.readers.fixes import GIVE_RATE
 from imucal.readers.store import Room
 
-#: Number of runs examined, and samples in each; shorter logs are examined completely.
-_RUNS, _RUN = 10, 4096
+#: Number of runs examined, spread over the log.
+_RUNS = 10
+#: Samples in each run; logs that are shorter than all runs are examined completely.
+_RUN = 4096
 #: Plausible rates of IMUs, in Hz.
 RATES = (1.0, 20_000.0)
 #: Rates of nearly all logs of MEMS IMUs, in Hz: if one of two readings of a clock gives such a rate, it is
@@ -30,24 +32,48 @@ _SAME = 0.03
 _WINDOW = 512
 #: Most batches between the anchors of a slope.
 _MAX_BATCHES = 64
-#: Of a buffer: longest batch in samples, and longest step within it in ns.
-_MAX_BURST, _MAX_BURST_STEP = 512, 2_000_000
+#: Longest batch in samples: FIFOs of sensors hold at most 512.
+_MAX_BURST = 512
+#: Longest step within a batch, in ns: a bus delivers the samples of a FIFO faster.
+_MAX_BURST_STEP = 2_000_000
 #: Last stamp or first, and last sample or first.
 _READ = ((True, True), (False, False), (False, True))
-#: Limits of white jitter; jitter in periods.
-_MIN_JITTER, _MIN_NEAR_SHARE, _MIN_STAMPS, _MAX_STAMPS, _MIN_COHERENCE = 0.1, 0.55, 256, 2048, 0.12
+#: Least white jitter, in periods, that hides missing samples.
+_MIN_JITTER = 0.1
+#: Least share of steps within half a usual step of the usual one: with fewer there is no usual step.
+_MIN_NEAR_SHARE = 0.55
+#: Fewest stamps of a run whose phases are averaged.
+_MIN_STAMPS = 256
+#: Most stamps of a run whose phases are averaged: over more, the period must be known too exactly.
+_MAX_STAMPS = 2048
+#: Least mean length of the phases' unit vectors, in addition to chance, at the right period.
+_MIN_COHERENCE = 0.12
 #: At a smaller ratio of mean step to period, losses are too few to matter.
 _MIN_LOST_RATIO = 1.003
-#: Limits of trials; the shortest pause is in usual steps.
-_MIN_PAUSE, _MIN_TRIAL, _MIN_PAUSES, _MIN_BATCHES = 4, 8, 3, 6
+#: Shortest pause between trials, in usual steps.
+_MIN_PAUSE = 4
+#: Fewest samples of a trial that shows the period.
+_MIN_TRIAL = 8
+#: Fewest pauses of a log of trials.
+_MIN_PAUSES = 3
+#: Fewest batches that show a period of their own.
+_MIN_BATCHES = 6
 #: Highest rate, in Hz, at which steps inside a batch may be those of a sensor.
 _MAX_SENSOR_RATE = 2000.0
 #: Largest share of losses explained by a nominal period in batches.
 _MAX_NOMINAL_LOSS = 0.1
 #: Above this share of losses, steps inside a batch are too short for a sensor.
 _MAX_MISSING = 0.55
-#: Limits of cycles of losses: samples, cycles, losses per sample, and two relative tolerances.
-_MAX_CYCLE, _MIN_CYCLES, _MAX_LOSS, _LOOSE, _WHOLE = 128, 16, 0.6, 0.2, 0.08
+#: Most samples in a cycle of losses.
+_MAX_CYCLE = 128
+#: Fewest cycles of losses: fewer may be chance.
+_MIN_CYCLES = 16
+#: Most losses per sample of a cycle.
+_MAX_LOSS = 0.6
+#: Relative tolerance of a step that jitter changes.
+_LOOSE = 0.2
+#: Relative tolerance of a long step about a whole number of periods.
+_WHOLE = 0.08
 #: Relative difference of equal periods of a clock with coarse ticks.
 _EXACT = 1e-3
 #: Stamps per piece when ticks are removed.

@@ -12,7 +12,10 @@ from imucal.readers.read_options import ReadOptions
 from imucal.recording import Sensor
 
 _GYRO, _ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
-_MAX_TOPICS, _MAX_COLUMNS = 24, 60
+#: Most topics listed in a message.
+_MAX_TOPICS = 24
+#: Most columns of a topic listed in a message.
+_MAX_COLUMNS = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)

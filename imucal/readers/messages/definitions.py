@@ -52,8 +52,10 @@ _SEPARATOR = re.compile(r"^=+\s*MSG:\s*", re.MULTILINE)
 _CONSTANT = re.compile(r"^[ \t]*\w+(<=\d+)?[ \t]+\w+[ \t]*=.*$", re.MULTILINE)
 #: Lines without a field: blank, or only a comment. rosbags takes a time that is quadratic in their number.
 _EMPTY_LINE = re.compile(r"[ \t]*(#.*)?")
-#: Limits of nesting, and of fields and files.
-_MAX_DEPTH, _MAX_FIELDS = 16, 20_000
+#: Deepest nesting of types.
+_MAX_DEPTH = 16
+#: Most fields, and most files of definitions.
+_MAX_FIELDS = 20_000
 #: Most lines visited to lay out a message, with repeats of nested types: a second.
 _MAX_VISITS = 100_000
 #: Longest definition, in bytes: rosbags parses 140 kB per second; those of PX4 and ROS have up to 60 kB.

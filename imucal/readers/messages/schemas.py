@@ -13,7 +13,10 @@ from imucal.readers.messages.trees import TIME, Leaf, Parse, is_time
 
 #: Deepest nesting; types may refer to themselves.
 _MAX_DEPTH = 8
-_MAX_LINES, _MAX_MESSAGES = 4000, 2000
+#: Most lines of a definition visited, with repeats of nested types.
+_MAX_LINES = 4000
+#: Most nested messages of a Protobuf type visited, with repeats.
+_MAX_MESSAGES = 2000
 #: Most fields of a Protobuf message visited, with repeats of nested types: 0.2 s.
 _MAX_FIELDS = 20_000
 #: Largest set of Protobuf descriptors, in bytes: those of Foxglove's messages have at most 20 kB.

@@ -31,12 +31,16 @@ from imucal.readers.tables.plan import TablePlan, find_bare_triads, find_triads,
 from imucal.recording import Sensor
 
 _ENCODINGS = ("cdr", "ros1", "json", "protobuf")
-#: Separators in a columns text, and times that are not columns.
-_MARKS, _CLOCKS = r"[,+=@:]", (None, "header", "log")
+#: Separators in a columns text.
+_MARKS = r"[,+=@:]"
+#: Times that are not columns.
+_CLOCKS = (None, "header", "log")
 #: Elements of longer arrays are columns only if they are named.
 _MAX_ELEMENTS = 9
-#: Messages examined, and chunks read for them.
-_HEAD, _LOOKS = 100, (1, 32)
+#: Messages examined.
+_HEAD = 100
+#: Chunks read for them, first a few, then more.
+_LOOKS = (1, 32)
 #: Rows examined of a table in memory.
 HELD_ROWS = 400
 #: Packages of general vectors, read only if the user names the topic.

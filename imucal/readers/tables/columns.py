@@ -11,8 +11,10 @@ from imucal.readers.tables.layout import Rows, is_number
 from imucal.readers.tables.names import NamedColumn, Role, parse_column, plain_name
 from imucal.recording import AXES, Axis, Sensor
 
-#: Longest number not rounded in a message; most columns listed.
-_MAX_DIGITS, _MAX_LISTED = 9, 60
+#: Longest number, in characters, that is not rounded in a message.
+_MAX_DIGITS = 9
+#: Most columns listed in a message.
+_MAX_LISTED = 60
 
 _ENDS = (tuple(f".{axis}" for axis in AXES), ("[0]", "[1]", "[2]"), tuple(f"_{axis}" for axis in AXES))
 

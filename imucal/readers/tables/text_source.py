@@ -50,8 +50,10 @@ _CONTROLS = bytes((*range(1, 9), *range(14, 27), *range(28, 32)))
 _HEAD = 1 << 18
 #: Large for the parser's speed, small for memory, in bytes.
 _BLOCK = 4 << 20
-#: Fewest lines of a table in the head; many cells on fewer lines are too long rows.
-_MIN_LINES, _MAX_CELLS = 3, 1000
+#: Fewest lines of a table in the head.
+_MIN_LINES = 3
+#: More cells on fewer lines are too long rows.
+_MAX_CELLS = 1000
 #: Longest row of a table, in bytes.
 _MAX_LINE = 1 << 20
 #: Bytes of a zstd stream unpacked at once: 4 bytes may expand to 128 KiB.

@@ -26,15 +26,23 @@ from imucal.arrays import BoolArray, FloatArray, IntArray
 
 #: Largest expected change of the spectrum in a next round.
 _MOVED = 3e-4
-#: Largest number of rounds, and the number if a gap has more samples than this: with information on some
-#: frequencies only, more rounds make lines of the others.
-_ROUNDS, _ROUNDS_IF_LONG, _LONG = 40, 8, 64
-#: Ratio of frequencies, and least number of groups a side, over which a variance is averaged.
-_NEAR, _NEIGHBOURS = 1.5, 2
+#: Largest number of rounds.
+_ROUNDS = 40
+#: Samples of the longest gap above which fewer rounds are made.
+_LONG = 64
+#: Rounds beside a long gap: the record informs about some frequencies only, and more rounds make lines of the
+#: others.
+_ROUNDS_IF_LONG = 8
+#: Ratio of the frequencies over which a variance is averaged.
+_NEAR = 1.5
+#: Least number of groups on each side over which it is averaged.
+_NEIGHBOURS = 2
 _STEPS = 40
 _CLOSE = 1e-3
-#: Largest number of missing samples, and of sines per sample, for direct sums; beyond, transforms are faster.
-_FEW, _DIRECT = 1000, 30
+#: Largest number of missing samples for direct sums; beyond, transforms are faster.
+_FEW = 1000
+#: Largest number of sines per sample for direct sums.
+_DIRECT = 30
 _SEED = 20_24
 #: Share of missing samples above which the spectrum is a sum of power laws.
 _MOST = 0.6
