@@ -32,7 +32,8 @@ class AllanCurve(Displayed, ReadOnlyArrays):
         Method: ``exact``, ``strided`` (out of core), ``windows`` or ``runs`` (gaps), ``given``
         (a curve from another tool).
     edf_method
-        ``hybrid``, ``model``, ``greenhall``; empty if unknown.
+        Source of `edf`: ``hybrid`` (the spectrum at short times, a noise model at long ones), ``model`` (a
+        noise model at every time); empty if unknown.
     """
 
     tau: FloatArray

@@ -50,7 +50,6 @@ def allan_curve(
     *,
     taus: str | Sequence[float] = "octave",
     estimator: str = "overlapping",
-    edf: str = "hybrid",
     transform: Transform | None = None,
 ) -> AllanCurve:
     """Return the Allan curve of an axis, with the degrees of freedom of each value.
@@ -64,8 +63,6 @@ def allan_curve(
         ``all`` end at about 2 degrees of freedom: m <= n/4, n/6 for third differences.
     estimator
         ``overlapping`` (the Allan variance, MOAV), ``standard``, ``modified`` or ``hadamard``.
-    edf
-        ``hybrid``, ``model`` or ``greenhall``; see `imucal.allan.intervals`.
     transform
         The transform of the finite samples, to save time; None computes it.
 
@@ -95,23 +92,24 @@ def allan_curve(
     series = series.finite()
     refuse_tiny(series)
     if not series.clock.missing:
-        computed, m = "exact", _factors(series, taus, chosen, series.n)
+        computed, edf_method = "exact", "hybrid"
+        m = _factors(series, taus, chosen, series.n)
         avar = variances(series.samples, m, chosen)
-        freedom = degrees_of_freedom(series.samples, m, chosen, edf, transform)
+        edf = degrees_of_freedom(series.samples, m, chosen, transform)
     else:
+        edf_method = "model"
         computed, values = _of_gaps(series, taus, chosen)
         m, avar = values.m, values.avar
-        freedom = gappy_degrees_of_freedom(series, values, chosen, edf)
-        edf = "model" if edf == "hybrid" else edf
+        edf = gappy_degrees_of_freedom(series, values, chosen)
     return AllanCurve(
         tau=m.astype(np.float64) * series.tau0,
         m=m,
         avar=avar,
-        edf=freedom,
+        edf=edf,
         n=series.n,
         estimator=estimator,
         computed=computed,
-        edf_method=edf,
+        edf_method=edf_method,
     )
 
 
@@ -130,11 +128,8 @@ def refuse_tiny(series: AxisSeries) -> None:
 
 
 def same_curve(series: AxisSeries, curve: AllanCurve, transform: Transform | None = None) -> AllanCurve:
-    """Return the curve of an axis with the averaging times, estimator and method of another."""
-    edf = curve.edf_method or "hybrid"
-    return allan_curve(
-        series, taus=curve.tau.tolist(), estimator=curve.estimator, edf=edf, transform=transform
-    )
+    """Return the curve of an axis with the averaging times and the estimator of another."""
+    return allan_curve(series, taus=curve.tau.tolist(), estimator=curve.estimator, transform=transform)
 
 
 def _strided(series: AxisSeries, taus: str) -> AllanCurve:

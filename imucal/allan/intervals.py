@@ -1,12 +1,7 @@
-"""Equivalent degrees of freedom of every value of a curve, by one of three methods.
+"""Equivalent degrees of freedom of every value of a curve.
 
-hybrid
-    From the spectrum itself at short averaging times, from the best-fitting generic model at long ones,
-    both corrected for heavy tails. The default.
-model
-    From the generic model at every averaging time.
-greenhall
-    From the power law that the lag-1 autocorrelation identifies at each averaging time, as in Stable32.
+At short averaging times they follow from the spectrum itself. At long ones, and with gaps, they follow from a
+generic model. Both are corrected for heavy tails.
 
 The generic model is the sum of the four power laws and a drift that best fits a spectrum. Its degrees of
 freedom are exact. A variance is the mean square of M differences d_t. For Gaussian noise
@@ -21,7 +16,7 @@ Source: Greenhall & Riley (2003), "Uncertainty of stability variances based on f
 differences", PTTI 35, eqs. 6-10; the power laws' V(n) replaces their continuous limit.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import lru_cache
 from math import comb
 
@@ -38,7 +33,6 @@ from imucal.allan.dct import (
 )
 from imucal.allan.variance import Estimator, GappyVariances, sum_of_squares
 from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
-from imucal.errors import ArgumentError
 from imucal.frozen import frozen
 from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries
@@ -77,12 +71,8 @@ _CROSSOVER = 256
 _HALVED = 2.0
 #: Excess kurtosis of a uniform distribution: the lower limit of the estimate.
 LIGHTEST = -1.2
-#: With fewer averages, the law of the previous averaging time is kept.
-_MIN_AVERAGES = 30
-#: Largest exponent p of f^p of each law; larger exponents are quantization.
-_EXPONENTS = ((-1.5, PowerLaw.WALK), (-0.5, PowerLaw.FLICKER), (0.5, PowerLaw.WHITE))
+#: Samples per block: a work array of this length fits in a second-level cache of 1 MB.
 _BLOCK = 32768
-EDF_METHODS = ("hybrid", "model", "greenhall")
 
 
 @frozen
@@ -283,81 +273,30 @@ def _non_negative(basis: FloatArray, target: FloatArray, weight: FloatArray) -> 
 
 
 def degrees_of_freedom(
-    samples: FloatArray,
-    m: IntArray,
-    estimator: Estimator,
-    method: str,
-    transform: Transform | None = None,
+    samples: FloatArray, m: IntArray, estimator: Estimator, transform: Transform | None = None
 ) -> FloatArray:
     """Return the equivalent degrees of freedom of each value of a curve, shape (k,), each at least 1.
 
-    `samples` are evenly spaced and finite. An unknown method is a ValueError.
+    `samples`, shape (n,), are evenly spaced and finite. Their `transform` saves time.
 
     Source: Greenhall & Riley (2003), PTTI 35; Percival & Walden (2000), ch. 8 (the spectral form).
     """
-    _require_method(method)
     terms = np.array([estimator.terms(samples.size, mi) for mi in m.tolist()], dtype=np.float64)
-    if method == "greenhall":
-        return _greenhall(samples, m, terms, estimator)
     # Drop a few samples to make the transform fast.
     used = max(fast_length(samples.size), 2)
     bins, ordinates = dct_bins(used), run_ordinates(samples, 0, used, transform)
     power, edf = bin_power(ordinates, bins), np.empty(m.size)
-    short = (m <= bins.n // _CROSSOVER) & (estimator.overlapping and method == "hybrid")
+    short = (m <= bins.n // _CROSSOVER) & estimator.overlapping
     edf[short] = spectral_edf(power, bins, m[short], terms[short], estimator)
     if not short.all():
         model = fit_spectrum(ordinates, power, bins)
-        edf[~short] = _of_models([model] * m.size, m[~short], terms[~short], estimator)
-    return np.maximum(less_for_heavy_tails(edf, samples, m, estimator) if method == "hybrid" else edf, 1.0)
+        edf[~short] = _of_model(model, m[~short], terms[~short], estimator)
+    return np.maximum(less_for_heavy_tails(edf, samples, m, estimator), 1.0)
 
 
-def _greenhall(samples: FloatArray, m: IntArray, terms: FloatArray, estimator: Estimator) -> FloatArray:
-    models = [
-        GenericModel(variances=tuple(float(law is named) for law in PowerLaw))
-        for named in named_laws(samples, m)
-    ]
-    return _of_models(models, m, terms, estimator)
-
-
-def _require_method(name: str) -> None:
-    if name not in EDF_METHODS:
-        raise ArgumentError(f"edf method {name!r} is not known: expected one of {', '.join(EDF_METHODS)}")
-
-
-def named_laws(samples: FloatArray, m: IntArray) -> list[PowerLaw]:
-    """Return the power law of the averages of `m` neighbouring samples, for each factor.
-
-    Source: Riley & Greenhall (2004), "Power law noise identification using the lag 1 autocorrelation", EFTF
-    18, eqs. 5-10.
-    """
-    laws: list[PowerLaw] = []
-    for factor in m.tolist():
-        count = samples.size // factor
-        if count < _MIN_AVERAGES:
-            laws.append(laws[-1] if laws else PowerLaw.WHITE)
-            continue
-        averages = samples[: count * factor].reshape(count, factor).mean(axis=1)
-        exponent = _exponent(averages)
-        laws.append(next((law for top, law in _EXPONENTS if exponent < top), PowerLaw.QUANTIZATION))
-    return laws
-
-
-def _exponent(values: FloatArray, differences: int = 0) -> float:
-    """Return the spectral exponent of `values`, differenced until they are stationary."""
-    centred = values - values.mean()
-    square = sum_of_squares(centred)
-    lag_one = float((centred[1:] * centred[:-1]).sum()) / square if square > 0 else 0.0
-    order = lag_one / (1 + lag_one)
-    if order < 0.25 or differences == 2:
-        return -2 * (order + differences)
-    return _exponent(np.diff(values), differences + 1)
-
-
-def _of_models(
-    models: Sequence[GenericModel], m: IntArray, terms: FloatArray, estimator: Estimator
-) -> FloatArray:
-    triples = zip(models, m.tolist(), terms.tolist(), strict=False)
-    return np.array([model_edf(model, factor, number, estimator) for model, factor, number in triples])
+def _of_model(model: GenericModel, m: IntArray, terms: FloatArray, estimator: Estimator) -> FloatArray:
+    pairs = zip(m.tolist(), terms.tolist(), strict=True)
+    return np.array([model_edf(model, factor, number, estimator) for factor, number in pairs])
 
 
 def spectral_edf(
@@ -434,18 +373,12 @@ def less_for_heavy_tails(
     return np.where(independent >= estimator.order * m, corrected, edf)
 
 
-def gappy_degrees_of_freedom(
-    series: AxisSeries, values: GappyVariances, estimator: Estimator, method: str
-) -> FloatArray:
+def gappy_degrees_of_freedom(series: AxisSeries, values: GappyVariances, estimator: Estimator) -> FloatArray:
     """Return the degrees of freedom where samples are missing, shape (k,), each at least 1.
 
-    A series with gaps has no spectrum, so ``hybrid`` and ``model`` use the generic model nearest to the
-    curve. An unknown method is a ValueError.
+    A series with gaps has no spectrum, so the generic model nearest to the curve is used at every time.
     """
-    _require_method(method)
-    if method == "greenhall":
-        return _greenhall(series.samples, values.m, values.terms, estimator)
     model = fit_curve(values.m, values.avar, np.maximum(values.terms / values.m, 1.0))
-    edf = _of_models([model] * values.m.size, values.m, values.terms, estimator) / values.inflation**2
+    edf = _of_model(model, values.m, values.terms, estimator) / values.inflation**2
     neighbours = np.diff(series.clock.grid()) == 1
     return np.maximum(less_for_heavy_tails(edf, series.samples, values.m, estimator, neighbours), 1.0)

@@ -5,7 +5,6 @@ from typing import Any
 import click
 
 from imucal._version import __version__
-from imucal.allan.intervals import EDF_METHODS
 from imucal.allan.variance import ESTIMATORS
 from imucal.cli._printing import echo, picked, print_findings, print_json, print_note, refuse
 from imucal.cli.log_request import LogRequest
@@ -48,20 +47,11 @@ analysed or are not noise at rest (with --strict: or a warning was found).
     show_default=True,
     help="Averaging times: octave, decade, decade:20, all, or a list such as 0.1,1,10min.",
 )
-@option(
-    "--edf",
-    group=ADVANCED,
-    type=click.Choice(EDF_METHODS),
-    default="hybrid",
-    show_default=True,
-    help="Method for the degrees of freedom of the intervals.",
-)
 def command(
     *,
     request: LogRequest,
     taus: str | tuple[float, ...],
     estimator: str,
-    edf: str,
     level: float,
     as_json: bool,
 ) -> None:
@@ -72,7 +62,7 @@ def command(
     freedom are left, except with --taus all.
     """
     recording = request.read()
-    arguments = {"taus": taus, "estimator": estimator, "edf": edf}
+    arguments = {"taus": taus, "estimator": estimator}
     axes: list[dict[str, Any]] = []
     failures: dict[str, DataError] = {}
     for series in recording.series:

@@ -67,7 +67,7 @@ def strided(samples: FloatArray, m: IntArray) -> FloatArray:
 
 
 def intervals(samples: FloatArray, m: IntArray) -> FloatArray:
-    return degrees_of_freedom(samples, m, OVERLAPPING, "hybrid")
+    return degrees_of_freedom(samples, m, OVERLAPPING)
 
 
 def with_intervals(samples: FloatArray, m: IntArray) -> FloatArray:
