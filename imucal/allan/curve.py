@@ -27,7 +27,7 @@ class AllanCurve(Displayed, ReadOnlyArrays):
     n
         Number of samples; 0 if unknown (a curve from another tool).
     estimator
-        ``overlapping`` (MOAV), ``standard`` (non-overlapping), ``modified``, ``hadamard``.
+        ``overlapping`` (MOAV), or ``standard`` (non-overlapping) for a curve from another tool.
     computed
         Method: ``exact``, ``strided`` (out of core), ``windows`` or ``runs`` (gaps), ``given``
         (a curve from another tool).

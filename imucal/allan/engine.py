@@ -13,10 +13,7 @@ from imucal.allan.curve import AllanCurve
 from imucal.allan.dct import Transform
 from imucal.allan.intervals import degrees_of_freedom, fit_curve, gappy_degrees_of_freedom, model_edf
 from imucal.allan.variance import (
-    ESTIMATORS,
-    Estimator,
     GappyVariances,
-    estimator_named,
     longest_run,
     run_variances,
     square_sums,
@@ -41,18 +38,15 @@ _PER_DECADE = 10
 _WORK = 32
 _PIECE = 1 << 20
 
-_OVERLAPPING = ESTIMATORS["overlapping"]
-
 
 @takes('imucal.allan_curve(recording["gyro_x"])', series=AxisSeries)
 def allan_curve(
     series: AxisSeries,
     *,
     taus: str | Sequence[float] = "octave",
-    estimator: str = "overlapping",
     transform: Transform | None = None,
 ) -> AllanCurve:
-    """Return the Allan curve of an axis, with the degrees of freedom of each value.
+    """Return the overlapping Allan variances (MOAV) of an axis, with their degrees of freedom.
 
     Parameters
     ----------
@@ -60,9 +54,7 @@ def allan_curve(
         The axis; samples that are not finite count as missing.
     taus
         ``octave``, ``decade``, ``decade:20``, ``all``, or averaging times in s. The named sets except
-        ``all`` end at about 2 degrees of freedom: m <= n/4, n/6 for third differences.
-    estimator
-        ``overlapping`` (the Allan variance, MOAV), ``standard``, ``modified`` or ``hadamard``.
+        ``all`` end at about 2 degrees of freedom: m <= n/4.
     transform
         The transform of the finite samples, to save time; None computes it.
 
@@ -77,37 +69,30 @@ def allan_curve(
     DataError
         If there are too few samples, or a listed averaging time is out of range.
     ValueError
-        If an option is unknown.
+        If a set of averaging times is unknown.
 
     Source: IEEE Std 952-1997, Annex C; NIST SP 1065 (2008).
     """
-    chosen = estimator_named(estimator)
-    if (
-        chosen is _OVERLAPPING
-        and isinstance(taus, str)
-        and taus != "all"
-        and _WORK * series.n > memory_limit()
-    ):
+    if isinstance(taus, str) and taus != "all" and _WORK * series.n > memory_limit():
         return _strided(series, taus)
     series = series.finite()
     refuse_tiny(series)
     if not series.clock.missing:
         computed, edf_method = "exact", "hybrid"
-        m = _factors(series, taus, chosen, series.n)
-        avar = variances(series.samples, m, chosen)
-        edf = degrees_of_freedom(series.samples, m, chosen, transform)
+        m = _factors(series, taus, series.n)
+        avar = variances(series.samples, m)
+        edf = degrees_of_freedom(series.samples, m, transform)
     else:
         edf_method = "model"
-        computed, values = _of_gaps(series, taus, chosen)
+        computed, values = _of_gaps(series, taus)
         m, avar = values.m, values.avar
-        edf = gappy_degrees_of_freedom(series, values, chosen)
+        edf = gappy_degrees_of_freedom(series, values)
     return AllanCurve(
         tau=m.astype(np.float64) * series.tau0,
         m=m,
         avar=avar,
         edf=edf,
         n=series.n,
-        estimator=estimator,
         computed=computed,
         edf_method=edf_method,
     )
@@ -128,8 +113,8 @@ def refuse_tiny(series: AxisSeries) -> None:
 
 
 def same_curve(series: AxisSeries, curve: AllanCurve, transform: Transform | None = None) -> AllanCurve:
-    """Return the curve of an axis with the averaging times and the estimator of another."""
-    return allan_curve(series, taus=curve.tau.tolist(), estimator=curve.estimator, transform=transform)
+    """Return the curve of an axis with the averaging times of another."""
+    return allan_curve(series, taus=curve.tau.tolist(), transform=transform)
 
 
 def _strided(series: AxisSeries, taus: str) -> AllanCurve:
@@ -137,7 +122,7 @@ def _strided(series: AxisSeries, taus: str) -> AllanCurve:
 
     The differences of a factor m start at every s-th sample, with the power of two s at most m/128.
     """
-    m = _factors(series, taus, _OVERLAPPING, series.n)
+    m = _factors(series, taus, series.n)
     stride = np.where(m < _DENSE * _THIN, 1, 1 << np.log2(m / _DENSE).astype(np.int64))
     m, first = np.unique(m - m % stride, return_index=True)
     stride = stride[first]
@@ -148,7 +133,7 @@ def _strided(series: AxisSeries, taus: str) -> AllanCurve:
             if step > 1:
                 points = _sums(points, _THIN if step == _THIN else 2)
             here = (stride == step) & (2 * m <= points.size * step)
-            sums[here] += square_sums(points, m[here] // step, _OVERLAPPING)
+            sums[here] += square_sums(points, m[here] // step)
             terms[here] += points.size + 1 - 2 * m[here] // step
     if not terms.any():
         msg = f"{series.n} samples are too few for an Allan variance; at least 2 neighbours are needed"
@@ -157,7 +142,7 @@ def _strided(series: AxisSeries, taus: str) -> AllanCurve:
     avar = sums / (2.0 * m.astype(np.float64) ** 2 * terms)
     model = fit_curve(m, avar, np.maximum(terms * stride / m, 1.0))
     edf = [
-        model_edf(model, factor, count, _OVERLAPPING, stride=step)
+        model_edf(model, factor, count, stride=step)
         for factor, count, step in zip(m.tolist(), terms.tolist(), stride.tolist(), strict=True)
     ]
     return AllanCurve(
@@ -193,16 +178,14 @@ def _sums(samples: FloatArray, step: int) -> FloatArray:
     return sums
 
 
-def _of_gaps(
-    series: AxisSeries, taus: str | Sequence[float], estimator: Estimator
-) -> tuple[str, GappyVariances]:
+def _of_gaps(series: AxisSeries, taus: str | Sequence[float]) -> tuple[str, GappyVariances]:
     """Return the method (``windows`` or ``runs``) and variances of a series with missing samples."""
-    if estimator.name == "overlapping" and not series.clock.apart:
-        m = _factors(series, taus, estimator, series.clock.grid_size)
-        how, values = "windows", window_variances(series, m)
+    if series.clock.apart:
+        m = _factors(series, taus, longest_run(series.clock))
+        how, values = "runs", run_variances(series, m)
     else:
-        m = _factors(series, taus, estimator, longest_run(series.clock))
-        how, values = "runs", run_variances(series, m, estimator)
+        m = _factors(series, taus, series.clock.grid_size)
+        how, values = "windows", window_variances(series, m)
     if not values.m.size:
         msg = (
             f"too many samples are missing for an Allan variance: {series.n} of "
@@ -212,18 +195,13 @@ def _of_gaps(
     return how, values
 
 
-def _factors(series: AxisSeries, taus: str | Sequence[float], estimator: Estimator, span: int) -> IntArray:
-    largest = estimator.largest(span)
-    if largest < 1:
-        needed = estimator.order + 1 - estimator.integrations
-        msg = (
-            f"{span} neighbouring samples are too few for the {estimator.name} "
-            f"estimator; at least {needed} are needed"
-        )
+def _factors(series: AxisSeries, taus: str | Sequence[float], span: int) -> IntArray:
+    if span < 2:
+        msg = f"{span} neighbouring samples are too few for an Allan variance; at least 2 are needed"
         raise DataError(msg, place=series.name)
-    return averaging_factors(
-        taus, tau0=series.tau0, largest=largest, drawn=estimator.drawn(span), name=series.name
-    )
+    # A quarter of the span leaves about 2 to 4 degrees of freedom.
+    drawn = max(span // 4, 1)
+    return averaging_factors(taus, tau0=series.tau0, largest=span // 2, drawn=drawn, name=series.name)
 
 
 def averaging_factors(

@@ -5,7 +5,6 @@ from typing import Any
 import click
 
 from imucal._version import __version__
-from imucal.allan.variance import ESTIMATORS
 from imucal.cli._printing import echo, picked, print_findings, print_json, print_note, refuse
 from imucal.cli.log_request import LogRequest
 from imucal.cli.options import ADVANCED, OUTPUT, Command, flag, force, level, log_options, option, unwrapped
@@ -18,7 +17,7 @@ from imucal.recording import AxisSeries, Recording
 _EPILOG = unwrapped("""
 Examples:
   imucal adev log.mcap > curves.csv
-  imucal adev log.bag --taus decade:20 --estimator modified
+  imucal adev log.bag --taus decade:20
   imucal adev log.csv --taus 0.1,1,10,10min --json
 
 Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
@@ -27,13 +26,6 @@ analysed or are not noise at rest (with --strict: or a warning was found).
 
 
 @click.command(cls=Command, epilog=_EPILOG)
-@option(
-    "--estimator",
-    type=click.Choice(list(ESTIMATORS)),
-    default="overlapping",
-    show_default=True,
-    help="Kind of deviation.",
-)
 @force
 @flag("--json", "as_json", group=OUTPUT, help="Print JSON instead of CSV, with the spectrum of each axis.")
 @log_options
@@ -51,23 +43,21 @@ def command(
     *,
     request: LogRequest,
     taus: str | tuple[float, ...],
-    estimator: str,
     level: float,
     as_json: bool,
 ) -> None:
     """Print the Allan deviations of every axis of LOG as CSV or JSON.
 
-    The deviations are those of the rate signal, in rad/s and m/s^2. The columns low and high are the
-    limits of the interval; edf is its degrees of freedom. Averaging times end where about 2 degrees of
-    freedom are left, except with --taus all.
+    The deviations are overlapping Allan deviations of the rate signal, in rad/s and m/s^2. The columns
+    low and high are the limits of the interval; edf is its degrees of freedom. Averaging times end where
+    about 2 degrees of freedom are left, except with --taus all.
     """
     recording = request.read()
-    arguments = {"taus": taus, "estimator": estimator}
     axes: list[dict[str, Any]] = []
     failures: dict[str, DataError] = {}
     for series in recording.series:
         try:
-            axes.append(_axis(series, arguments, level=level, spectrum=as_json))
+            axes.append(_axis(series, taus, level=level, spectrum=as_json))
         except DataError as error:
             failures[series.name] = error
     if not axes:
@@ -107,8 +97,10 @@ def _findings(recording: Recording, failures: dict[str, DataError]) -> list[Find
     return [one for one in found if one.code != "no-data" or one.axis not in failures] + failed
 
 
-def _axis(series: AxisSeries, arguments: dict[str, Any], *, level: float, spectrum: bool) -> dict[str, Any]:
-    """Return the entry of one axis as JSON values, with the `arguments` of `allan_curve`."""
+def _axis(
+    series: AxisSeries, taus: str | tuple[float, ...], *, level: float, spectrum: bool
+) -> dict[str, Any]:
+    """Return the entry of one axis as JSON values."""
     from imucal import allan
 
     if series.n and not series.usable.any():
@@ -116,13 +108,13 @@ def _axis(series: AxisSeries, arguments: dict[str, Any], *, level: float, spectr
             f"no usable samples among {series.n}: all are NaN, infinite or absurdly large",
             place=series.name,
         )
-    curve = allan.allan_curve(series, **arguments)
+    curve = allan.allan_curve(series, taus=taus)
     low, high = curve.confidence_interval(level)
     axis: dict[str, Any] = {
         **picked(series, "name sensor axis unit"),
         "samples": curve.n,
         "rate_hz": series.rate_hz,
-        **picked(curve, "estimator computed edf_method"),
+        "computed": curve.computed,
         "curve": {
             **picked(curve, "tau_s=tau m adev"),
             "low": low.tolist(),

@@ -22,13 +22,12 @@ import numpy as np
 
 from imucal.allan import allan_curve, engine
 from imucal.allan.intervals import degrees_of_freedom
-from imucal.allan.variance import ESTIMATORS, variances
+from imucal.allan.variance import variances
 from imucal.arrays import FloatArray, IntArray
 from imucal.recording import AxisSeries
 
 __all__ = ["main"]
 
-OVERLAPPING = ESTIMATORS["overlapping"]
 #: Samples -> required ratio of AllanTools' time to the curve with intervals, best of three.
 TARGETS = {1_000_000: 2.5, 10_000_000: 5.0}
 
@@ -57,7 +56,7 @@ def allantools(samples: FloatArray, m: IntArray) -> FloatArray:
 
 
 def exact(samples: FloatArray, m: IntArray) -> FloatArray:
-    return variances(samples, m, OVERLAPPING)
+    return variances(samples, m)
 
 
 def strided(samples: FloatArray, m: IntArray) -> FloatArray:
@@ -67,7 +66,7 @@ def strided(samples: FloatArray, m: IntArray) -> FloatArray:
 
 
 def intervals(samples: FloatArray, m: IntArray) -> FloatArray:
-    return degrees_of_freedom(samples, m, OVERLAPPING)
+    return degrees_of_freedom(samples, m)
 
 
 def with_intervals(samples: FloatArray, m: IntArray) -> FloatArray:
