@@ -29,7 +29,7 @@ class AllanCurve(Displayed, ReadOnlyArrays):
     estimator
         ``overlapping`` (MOAV), or ``standard`` (non-overlapping) for a curve from another tool.
     computed
-        Method: ``exact``, ``strided`` (out of core), ``windows`` or ``runs`` (gaps), ``given``
+        Method: ``exact``, ``windows`` or ``runs`` (gaps), ``given``
         (a curve from another tool).
     edf_method
         Source of `edf`: ``hybrid`` (the spectrum at short times, a noise model at long ones), ``model`` (a

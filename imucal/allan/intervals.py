@@ -78,20 +78,18 @@ class GenericModel:
     drift: float = 0.0
 
 
-def model_edf(model: GenericModel, m: int, terms: float, *, stride: int = 1) -> float:
+def model_edf(model: GenericModel, m: int, terms: float) -> float:
     """Return the equivalent degrees of freedom of one value, at least 1.
 
-    The scale of `model` does not matter. `terms` is the number M of averaged differences. `stride` is the
-    step between the differences, a divisor of `m`.
+    The scale of `model` does not matter. `terms` is the number M of averaged differences.
     """
     variances = np.array(model.variances)
     if not variances.any() and not model.drift:
         variances = np.array([0.0, 1.0, 0.0, 0.0])
     # A drift adds a mean to a second difference.
     mean_square = (model.drift * m) ** 2 / 2
-    span = terms * stride
-    lags, weights, basis = _basis(m, int(np.ceil(span)), stride)
-    weights = weights * (1 - lags / span)
+    lags, weights, basis = _basis(m, int(np.ceil(terms)))
+    weights = weights * (1 - lags / terms)
     covariance = variances @ basis
     lag_sum = max(float(weights @ covariance), 0.0)
     total = float(weights @ covariance**2) + 2 * mean_square * lag_sum
@@ -100,21 +98,20 @@ def model_edf(model: GenericModel, m: int, terms: float, *, stride: int = 1) -> 
 
 
 @lru_cache(maxsize=128)
-def _basis(m: int, span: int, stride: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    lags, weights = _lag_grid(m, min(span - 1, _FAR * m), stride)
+def _basis(m: int, span: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    lags, weights = _lag_grid(m, min(span - 1, _FAR * m))
     return lags, weights, np.array([_covariance(law, lags, m) for law in PowerLaw])
 
 
-def _lag_grid(m: int, last: int, stride: int) -> tuple[FloatArray, FloatArray]:
+def _lag_grid(m: int, last: int) -> tuple[FloatArray, FloatArray]:
     """Return lags from 0 to `last` and weights that sum an even function over them."""
-    steps = last // stride
-    lags = np.arange(steps + 1)
-    if steps > _ALL_LAGS:
-        kinks = m // stride * np.arange(3)
-        lags = graded_lags(kinks, 0, steps, dense=_DENSE, per_octave=_PER_OCTAVE)
+    lags = np.arange(last + 1)
+    if last > _ALL_LAGS:
+        kinks = m * np.arange(3)
+        lags = graded_lags(kinks, 0, last, dense=_DENSE, per_octave=_PER_OCTAVE)
     weights = 2 * trapezoid_weights(lags)
     weights[0] -= 1
-    return (lags * stride).astype(np.float64), weights
+    return lags.astype(np.float64), weights
 
 
 def trapezoid_weights(lags: IntArray) -> FloatArray:
