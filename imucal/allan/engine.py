@@ -96,11 +96,6 @@ def refuse_tiny(series: AxisSeries) -> None:
         raise DataError(msg, place=series.name)
 
 
-def same_curve(series: AxisSeries, curve: AllanCurve, transform: Transform | None = None) -> AllanCurve:
-    """Return the curve of an axis with the averaging times of another."""
-    return allan_curve(series, taus=curve.tau.tolist(), transform=transform)
-
-
 def _of_gaps(series: AxisSeries, taus: str | Sequence[float]) -> tuple[str, GappyVariances]:
     """Return the method (``windows`` or ``runs``) and variances of a series with missing samples."""
     if series.clock.apart:

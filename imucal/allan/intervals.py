@@ -88,7 +88,7 @@ def model_edf(model: GenericModel, m: int, terms: float) -> float:
         variances = np.array([0.0, 1.0, 0.0, 0.0])
     # A drift adds a mean to a second difference.
     mean_square = (model.drift * m) ** 2 / 2
-    lags, weights, basis = _basis(m, int(np.ceil(terms)))
+    lags, weights, basis = _basis(m, int(terms))
     weights = weights * (1 - lags / terms)
     covariance = variances @ basis
     lag_sum = max(float(weights @ covariance), 0.0)
