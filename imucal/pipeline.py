@@ -51,7 +51,7 @@ _LONG = 500_000
 _MODULES = ("scipy.fft", "scipy.special", "imucal.fitting.moments")
 #: In the order of report.json; `reading` comes last.
 _DOCUMENTED = (
-    *("model", "method", "level", "criterion", "weights", "taus", "edf"),
+    *("model", "method", "level", "criterion", "weights", "taus"),
     *("max_gm", "clean", "second_opinion", "segments"),
 )
 
@@ -68,7 +68,6 @@ class Settings(FitSettings):
     """
 
     taus: str = "octave"
-    edf: str = "hybrid"
     second_opinion: bool = False
     reading: Mapping[str, object] = field(default_factory=dict)
 
@@ -244,7 +243,7 @@ def _characterize_axis(
         raise no_noise(finite)
     at_samples = _temperature_at(finite, temperature)
     transform = Transform.of(finite)
-    curve = allan_curve(finite, taus=settings.taus, edf=settings.edf, transform=transform)
+    curve = allan_curve(finite, taus=settings.taus, transform=transform)
     density = spectrum(finite, transform=transform)
     result = fit_axis(finite, settings, temperature=at_samples, curve=curve, transform=transform)
     # The rest does not need it, but memory.

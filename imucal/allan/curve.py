@@ -27,12 +27,13 @@ class AllanCurve(Displayed, ReadOnlyArrays):
     n
         Number of samples; 0 if unknown (a curve from another tool).
     estimator
-        ``overlapping`` (MOAV), ``standard`` (non-overlapping), ``modified``, ``hadamard``.
+        ``overlapping`` (MOAV), or ``standard`` (non-overlapping) for a curve from another tool.
     computed
-        Method: ``exact``, ``strided`` (out of core), ``windows`` or ``runs`` (gaps), ``given``
+        Method: ``exact``, ``windows`` or ``runs`` (gaps), ``given``
         (a curve from another tool).
     edf_method
-        ``hybrid``, ``model``, ``greenhall``; empty if unknown.
+        Source of `edf`: ``hybrid`` (the spectrum at short times, a noise model at long ones), ``model`` (a
+        noise model at every time); empty if unknown.
     """
 
     tau: FloatArray

@@ -1,47 +1,29 @@
-"""Compute the Allan curve of an axis: exactly, or with strides if the log does not fit in memory.
-
-With strides, factors below 8192 are exact. Larger ones use sums of 64, 128 … neighbouring samples: values
-differ by about 0.2 % of the interval's width.
-"""
+"""Compute the Allan curve of an axis: the values, their degrees of freedom, and the averaging times."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from imucal.allan.curve import AllanCurve
 from imucal.allan.dct import Transform
-from imucal.allan.intervals import degrees_of_freedom, fit_curve, gappy_degrees_of_freedom, model_edf
+from imucal.allan.intervals import degrees_of_freedom, gappy_degrees_of_freedom
 from imucal.allan.variance import (
-    ESTIMATORS,
-    Estimator,
     GappyVariances,
-    estimator_named,
     longest_run,
     run_variances,
-    square_sums,
     variances,
     window_variances,
 )
 from imucal.arguments import takes
-from imucal.arrays import FloatArray, IntArray, blocks
+from imucal.arrays import IntArray
 from imucal.errors import ArgumentError, DataError
 from imucal.recording import TINY, AxisSeries
-from imucal.resources import memory_limit
 
-#: Smallest number of start points per averaging time, a power of two.
-_DENSE = 128
-#: Samples of the first sum, a power of two.
-_THIN = 64
 #: A named set of averaging times with a number per decade.
 _DECADE = re.compile(r"decade(?::(?P<count>[1-9]\d{0,3}))?")
 #: Averaging times per decade if the name has no number.
 _PER_DECADE = 10
-#: Bytes per sample of the exact curve.
-_WORK = 32
-_PIECE = 1 << 20
-
-_OVERLAPPING = ESTIMATORS["overlapping"]
 
 
 @takes('imucal.allan_curve(recording["gyro_x"])', series=AxisSeries)
@@ -49,11 +31,9 @@ def allan_curve(
     series: AxisSeries,
     *,
     taus: str | Sequence[float] = "octave",
-    estimator: str = "overlapping",
-    edf: str = "hybrid",
     transform: Transform | None = None,
 ) -> AllanCurve:
-    """Return the Allan curve of an axis, with the degrees of freedom of each value.
+    """Return the overlapping Allan variances (MOAV) of an axis, with their degrees of freedom.
 
     Parameters
     ----------
@@ -61,18 +41,13 @@ def allan_curve(
         The axis; samples that are not finite count as missing.
     taus
         ``octave``, ``decade``, ``decade:20``, ``all``, or averaging times in s. The named sets except
-        ``all`` end at about 2 degrees of freedom: m <= n/4, n/6 for third differences.
-    estimator
-        ``overlapping`` (the Allan variance, MOAV), ``standard``, ``modified`` or ``hadamard``.
-    edf
-        ``hybrid``, ``model`` or ``greenhall``; see `imucal.allan.intervals`.
+        ``all`` end at about 2 degrees of freedom: m <= n/4.
     transform
         The transform of the finite samples, to save time; None computes it.
 
     Returns
     -------
-    The curve. If the samples need more than a quarter of the machine's memory, large averaging times are
-    strided. If samples are missing, averaging times without enough samples are left out, and the degrees of
+    The curve. If samples are missing, averaging times without enough samples are left out, and the degrees of
     freedom come from the generic model nearest to the curve. `computed` contains the method.
 
     Raises
@@ -80,38 +55,30 @@ def allan_curve(
     DataError
         If there are too few samples, or a listed averaging time is out of range.
     ValueError
-        If an option is unknown.
+        If a set of averaging times is unknown.
 
     Source: IEEE Std 952-1997, Annex C; NIST SP 1065 (2008).
     """
-    chosen = estimator_named(estimator)
-    if (
-        chosen is _OVERLAPPING
-        and isinstance(taus, str)
-        and taus != "all"
-        and _WORK * series.n > memory_limit()
-    ):
-        return _strided(series, taus)
     series = series.finite()
     refuse_tiny(series)
     if not series.clock.missing:
-        computed, m = "exact", _factors(series, taus, chosen, series.n)
-        avar = variances(series.samples, m, chosen)
-        freedom = degrees_of_freedom(series.samples, m, chosen, edf, transform)
+        computed, edf_method = "exact", "hybrid"
+        m = _factors(series, taus, series.n)
+        avar = variances(series.samples, m)
+        edf = degrees_of_freedom(series.samples, m, transform)
     else:
-        computed, values = _of_gaps(series, taus, chosen)
+        edf_method = "model"
+        computed, values = _of_gaps(series, taus)
         m, avar = values.m, values.avar
-        freedom = gappy_degrees_of_freedom(series, values, chosen, edf)
-        edf = "model" if edf == "hybrid" else edf
+        edf = gappy_degrees_of_freedom(series, values)
     return AllanCurve(
         tau=m.astype(np.float64) * series.tau0,
         m=m,
         avar=avar,
-        edf=freedom,
+        edf=edf,
         n=series.n,
-        estimator=estimator,
         computed=computed,
-        edf_method=edf,
+        edf_method=edf_method,
     )
 
 
@@ -129,85 +96,14 @@ def refuse_tiny(series: AxisSeries) -> None:
         raise DataError(msg, place=series.name)
 
 
-def same_curve(series: AxisSeries, curve: AllanCurve, transform: Transform | None = None) -> AllanCurve:
-    """Return the curve of an axis with the averaging times, estimator and method of another."""
-    edf = curve.edf_method or "hybrid"
-    return allan_curve(
-        series, taus=curve.tau.tolist(), estimator=curve.estimator, edf=edf, transform=transform
-    )
-
-
-def _strided(series: AxisSeries, taus: str) -> AllanCurve:
-    """Return the curve in little memory.
-
-    The differences of a factor m start at every s-th sample, with the power of two s at most m/128.
-    """
-    m = _factors(series, taus, _OVERLAPPING, series.n)
-    stride = np.where(m < _DENSE * _THIN, 1, 1 << np.log2(m / _DENSE).astype(np.int64))
-    m, first = np.unique(m - m % stride, return_index=True)
-    stride = stride[first]
-    sums, terms = np.zeros(m.size), np.zeros(m.size, dtype=np.int64)
-    for start, stop in _finite_runs(series):
-        points = series.samples[start:stop]
-        for step in [1, *(1 << np.arange(_THIN.bit_length() - 1, int(stride[-1]).bit_length())).tolist()]:
-            if step > 1:
-                points = _sums(points, _THIN if step == _THIN else 2)
-            here = (stride == step) & (2 * m <= points.size * step)
-            sums[here] += square_sums(points, m[here] // step, _OVERLAPPING)
-            terms[here] += points.size + 1 - 2 * m[here] // step
-    if not terms.any():
-        msg = f"{series.n} samples are too few for an Allan variance; at least 2 neighbours are needed"
-        raise DataError(msg)
-    m, stride, sums, terms = (values[terms > 0] for values in (m, stride, sums, terms))
-    avar = sums / (2.0 * m.astype(np.float64) ** 2 * terms)
-    model = fit_curve(m, avar, np.maximum(terms * stride / m, 1.0))
-    edf = [
-        model_edf(model, factor, count, _OVERLAPPING, stride=step)
-        for factor, count, step in zip(m.tolist(), terms.tolist(), stride.tolist(), strict=True)
-    ]
-    return AllanCurve(
-        tau=m.astype(np.float64) * series.tau0,
-        m=m,
-        avar=avar,
-        edf=np.array(edf),
-        n=int(series.n),
-        computed="strided",
-        edf_method="model",
-    )
-
-
-def _finite_runs(series: AxisSeries) -> Iterator[tuple[int, int]]:
-    for segment in series.clock.segments:
-        start = segment.start
-        for part in blocks(segment.stop - segment.start, series.samples):
-            first = segment.start + part.start
-            values = series.samples[first : segment.start + part.stop]
-            for at in (first + np.flatnonzero(~np.isfinite(values))).tolist():
-                if at > start:
-                    yield start, at
-                start = at + 1
-        if segment.stop > start:
-            yield start, segment.stop
-
-
-def _sums(samples: FloatArray, step: int) -> FloatArray:
-    sums = np.empty(samples.size // step)
-    for part in blocks(sums.size, samples, size=_PIECE // step):
-        rows = samples[part.start * step : part.stop * step].reshape(-1, step)
-        np.sum(rows, axis=1, dtype=np.float64, out=sums[part])
-    return sums
-
-
-def _of_gaps(
-    series: AxisSeries, taus: str | Sequence[float], estimator: Estimator
-) -> tuple[str, GappyVariances]:
+def _of_gaps(series: AxisSeries, taus: str | Sequence[float]) -> tuple[str, GappyVariances]:
     """Return the method (``windows`` or ``runs``) and variances of a series with missing samples."""
-    if estimator.name == "overlapping" and not series.clock.apart:
-        m = _factors(series, taus, estimator, series.clock.grid_size)
-        how, values = "windows", window_variances(series, m)
+    if series.clock.apart:
+        m = _factors(series, taus, longest_run(series.clock))
+        how, values = "runs", run_variances(series, m)
     else:
-        m = _factors(series, taus, estimator, longest_run(series.clock))
-        how, values = "runs", run_variances(series, m, estimator)
+        m = _factors(series, taus, series.clock.grid_size)
+        how, values = "windows", window_variances(series, m)
     if not values.m.size:
         msg = (
             f"too many samples are missing for an Allan variance: {series.n} of "
@@ -217,18 +113,13 @@ def _of_gaps(
     return how, values
 
 
-def _factors(series: AxisSeries, taus: str | Sequence[float], estimator: Estimator, span: int) -> IntArray:
-    largest = estimator.largest(span)
-    if largest < 1:
-        needed = estimator.order + 1 - estimator.integrations
-        msg = (
-            f"{span} neighbouring samples are too few for the {estimator.name} "
-            f"estimator; at least {needed} are needed"
-        )
+def _factors(series: AxisSeries, taus: str | Sequence[float], span: int) -> IntArray:
+    if span < 2:
+        msg = f"{span} neighbouring samples are too few for an Allan variance; at least 2 are needed"
         raise DataError(msg, place=series.name)
-    return averaging_factors(
-        taus, tau0=series.tau0, largest=largest, drawn=estimator.drawn(span), name=series.name
-    )
+    # A quarter of the span leaves about 2 to 4 degrees of freedom.
+    drawn = max(span // 4, 1)
+    return averaging_factors(taus, tau0=series.tau0, largest=span // 2, drawn=drawn, name=series.name)
 
 
 def averaging_factors(

@@ -1,12 +1,7 @@
-"""Equivalent degrees of freedom of every value of a curve, by one of three methods.
+"""Equivalent degrees of freedom of every value of a curve.
 
-hybrid
-    From the spectrum itself at short averaging times, from the best-fitting generic model at long ones,
-    both corrected for heavy tails. The default.
-model
-    From the generic model at every averaging time.
-greenhall
-    From the power law that the lag-1 autocorrelation identifies at each averaging time, as in Stable32.
+At short averaging times they follow from the spectrum itself. At long ones, and with gaps, they follow from a
+generic model. Both are corrected for heavy tails.
 
 The generic model is the sum of the four power laws and a drift that best fits a spectrum. Its degrees of
 freedom are exact. A variance is the mean square of M differences d_t. For Gaussian noise
@@ -14,16 +9,16 @@ freedom are exact. A variance is the mean square of M differences d_t. For Gauss
     Var = (2/M) Σ_{|k|<M} (1 - |k|/M) s(k)² + (4 µ²/M) Σ (1 - |k|/M) s(k),   EDF = 2 (s(0) + µ²)² / Var
 
 where s(k) is the autocovariance of d_t and µ its mean (from a drift). Let V(n) be the generalised
-variance of the sum of n samples (`imucal.powerlaw`) and a_j the autocorrelation of the
-difference's coefficients. Then s(k) = -½ Σ_j a_j V(k + j m) / scale.
+variance of the sum of n samples (`imucal.powerlaw`). Then
+
+    s(k) = [-6 V(k) + 4 V(k-m) + 4 V(k+m) - V(k-2m) - V(k+2m)] / (4 m²)
 
 Source: Greenhall & Riley (2003), "Uncertainty of stability variances based on finite
 differences", PTTI 35, eqs. 6-10; the power laws' V(n) replaces their continuous limit.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import lru_cache
-from math import comb
 
 import numpy as np
 
@@ -36,9 +31,8 @@ from imucal.allan.dct import (
     ramp_ordinates,
     run_ordinates,
 )
-from imucal.allan.variance import Estimator, GappyVariances, sum_of_squares
+from imucal.allan.variance import GappyVariances, sum_of_squares
 from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
-from imucal.errors import ArgumentError
 from imucal.frozen import frozen
 from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries
@@ -52,15 +46,6 @@ _DENSE = 24
 _PER_OCTAVE = 16
 #: Flicker's covariance falls as k^-4: this many averaging times are enough.
 _FAR = 32
-#: Above this factor the covariance of the modified estimator is scaled.
-_MODIFIED_LIMIT = 32
-#: Slope of the modified variance in log m, for large m.
-_MODIFIED_SLOPES: dict[PowerLaw, float] = {
-    PowerLaw.QUANTIZATION: -3,
-    PowerLaw.WHITE: -1,
-    PowerLaw.FLICKER: 0,
-    PowerLaw.WALK: 1,
-}
 #: Above this ordinate a drift contributes less than 1e-6 of its squares.
 _DRIFT_ORDINATES = 128
 #: Minimum gain of twice the log likelihood: the 95 % quantile of chi-squared with 1 dof.
@@ -71,18 +56,18 @@ _ROUNDS = 100
 _HALVINGS = 20
 #: Updates of the starting point of Fisher scoring.
 _UPDATES = 20
+#: Mean of (2 sin)^4 over a period: the central binomial coefficient of 2.
+_MEAN_RIPPLE = 6
+#: Mean of (2 sin)^8 over a period: the central binomial coefficient of 4.
+_MEAN_SQUARED_RIPPLE = 70
 #: Averaging factors up to n divided by this need no model.
 _CROSSOVER = 256
 #: A difference of two independent values has half the excess kurtosis of one value.
 _HALVED = 2.0
 #: Excess kurtosis of a uniform distribution: the lower limit of the estimate.
 LIGHTEST = -1.2
-#: With fewer averages, the law of the previous averaging time is kept.
-_MIN_AVERAGES = 30
-#: Largest exponent p of f^p of each law; larger exponents are quantization.
-_EXPONENTS = ((-1.5, PowerLaw.WALK), (-0.5, PowerLaw.FLICKER), (0.5, PowerLaw.WHITE))
+#: Samples per block: a work array of this length fits in a second-level cache of 1 MB.
 _BLOCK = 32768
-EDF_METHODS = ("hybrid", "model", "greenhall")
 
 
 @frozen
@@ -93,26 +78,18 @@ class GenericModel:
     drift: float = 0.0
 
 
-def model_edf(model: GenericModel, m: int, terms: float, estimator: Estimator, *, stride: int = 1) -> float:
+def model_edf(model: GenericModel, m: int, terms: float) -> float:
     """Return the equivalent degrees of freedom of one value, at least 1.
 
-    The scale of `model` does not matter. `terms` is the number M of averaged differences. `stride` is the
-    step between the differences of an overlapping estimator, a divisor of `m`. The modified estimator above m
-    = 32 uses the shape of its covariance at m = 32.
+    The scale of `model` does not matter. `terms` is the number M of averaged differences.
     """
     variances = np.array(model.variances)
     if not variances.any() and not model.drift:
         variances = np.array([0.0, 1.0, 0.0, 0.0])
-    # A drift adds a mean to a second difference, not to a third.
-    mean_square = (model.drift * m) ** 2 / 2 if estimator.order - estimator.integrations == 1 else 0.0
-    if estimator.integrations == 2 and m > _MODIFIED_LIMIT:
-        ratio = m / _MODIFIED_LIMIT
-        variances = variances * np.array([ratio ** _MODIFIED_SLOPES[law] for law in PowerLaw])
-        terms, m = max(terms / ratio, 1.0), _MODIFIED_LIMIT
-    stride = stride if estimator.overlapping else m
-    span = terms * stride
-    lags, weights, basis = _basis(m, int(np.ceil(span)), stride, estimator)
-    weights = weights * (1 - lags / span)
+    # A drift adds a mean to a second difference.
+    mean_square = (model.drift * m) ** 2 / 2
+    lags, weights, basis = _basis(m, int(terms))
+    weights = weights * (1 - lags / terms)
     covariance = variances @ basis
     lag_sum = max(float(weights @ covariance), 0.0)
     total = float(weights @ covariance**2) + 2 * mean_square * lag_sum
@@ -121,21 +98,20 @@ def model_edf(model: GenericModel, m: int, terms: float, estimator: Estimator, *
 
 
 @lru_cache(maxsize=128)
-def _basis(m: int, span: int, stride: int, estimator: Estimator) -> tuple[FloatArray, FloatArray, FloatArray]:
-    lags, weights = _lag_grid(m, min(span - 1, _FAR * m), stride, estimator.order)
-    return lags, weights, np.array([_covariance(law, lags, m, estimator) for law in PowerLaw])
+def _basis(m: int, span: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    lags, weights = _lag_grid(m, min(span - 1, _FAR * m))
+    return lags, weights, np.array([_covariance(law, lags, m) for law in PowerLaw])
 
 
-def _lag_grid(m: int, last: int, stride: int, order: int) -> tuple[FloatArray, FloatArray]:
+def _lag_grid(m: int, last: int) -> tuple[FloatArray, FloatArray]:
     """Return lags from 0 to `last` and weights that sum an even function over them."""
-    steps = last // stride
-    lags = np.arange(steps + 1)
-    if steps > _ALL_LAGS:
-        kinks = m // stride * np.arange(order + 1)
-        lags = graded_lags(kinks, 0, steps, dense=_DENSE, per_octave=_PER_OCTAVE)
+    lags = np.arange(last + 1)
+    if last > _ALL_LAGS:
+        kinks = m * np.arange(3)
+        lags = graded_lags(kinks, 0, last, dense=_DENSE, per_octave=_PER_OCTAVE)
     weights = 2 * trapezoid_weights(lags)
     weights[0] -= 1
-    return (lags * stride).astype(np.float64), weights
+    return lags.astype(np.float64), weights
 
 
 def trapezoid_weights(lags: IntArray) -> FloatArray:
@@ -159,22 +135,20 @@ def graded_lags(kinks: IntArray, low: int, high: int, *, dense: int, per_octave:
     return lags[(lags >= low) & (lags <= high)]
 
 
-def _covariance(law: PowerLaw, k: FloatArray, m: int, estimator: Estimator) -> FloatArray:
+def _covariance(law: PowerLaw, k: FloatArray, m: int) -> FloatArray:
     """Return s(k), the autocovariance of the differences."""
-    difference = np.array([1.0])
-    for _ in range(estimator.order + 1 - estimator.integrations):
-        difference = np.convolve(difference, [1.0, -1.0])
-    inside = (k <= estimator.order * m) | (law is PowerLaw.FLICKER)
-    total, steps = np.zeros(int(inside.sum())), np.arange(1 - m, m, dtype=np.float64)
-    for shift, coefficient in enumerate(np.convolve(difference, difference[::-1]), start=1 - difference.size):
-        shifted = k[inside] + shift * m
-        if estimator.integrations == 1:
-            total += coefficient * law.sum_variance(shifted)
-        else:
-            # V(n) weighted by the triangle that a sum of m neighbours gives.
-            total += coefficient * (law.sum_variance(shifted[:, None] + steps) @ (m - np.abs(steps)))
+    variance = law.sum_variance
+    inside = (k <= 2 * m) | (law is PowerLaw.FLICKER)
+    lag = k[inside]
+    fourth_difference = (
+        variance(lag - 2 * m)
+        - 4 * variance(lag - m)
+        + 6 * variance(lag)
+        - 4 * variance(lag + m)
+        + variance(lag + 2 * m)
+    )
     covariance = np.zeros(k.shape)
-    covariance[inside] = -0.5 * total / estimator.scale(m)
+    covariance[inside] = -fourth_difference / (4 * m**2)
     return covariance
 
 
@@ -282,120 +256,63 @@ def _non_negative(basis: FloatArray, target: FloatArray, weight: FloatArray) -> 
     return non_negative((basis * root).T, target * root)[0]
 
 
-def degrees_of_freedom(
-    samples: FloatArray,
-    m: IntArray,
-    estimator: Estimator,
-    method: str,
-    transform: Transform | None = None,
-) -> FloatArray:
+def degrees_of_freedom(samples: FloatArray, m: IntArray, transform: Transform | None = None) -> FloatArray:
     """Return the equivalent degrees of freedom of each value of a curve, shape (k,), each at least 1.
 
-    `samples` are evenly spaced and finite. An unknown method is a ValueError.
+    `samples`, shape (n,), are evenly spaced and finite. Their `transform` saves time.
 
     Source: Greenhall & Riley (2003), PTTI 35; Percival & Walden (2000), ch. 8 (the spectral form).
     """
-    _require_method(method)
-    terms = np.array([estimator.terms(samples.size, mi) for mi in m.tolist()], dtype=np.float64)
-    if method == "greenhall":
-        return _greenhall(samples, m, terms, estimator)
+    terms = (samples.size + 1 - 2 * m).astype(np.float64)
     # Drop a few samples to make the transform fast.
     used = max(fast_length(samples.size), 2)
     bins, ordinates = dct_bins(used), run_ordinates(samples, 0, used, transform)
     power, edf = bin_power(ordinates, bins), np.empty(m.size)
-    short = (m <= bins.n // _CROSSOVER) & (estimator.overlapping and method == "hybrid")
-    edf[short] = spectral_edf(power, bins, m[short], terms[short], estimator)
+    short = m <= bins.n // _CROSSOVER
+    edf[short] = spectral_edf(power, bins, m[short], terms[short])
     if not short.all():
         model = fit_spectrum(ordinates, power, bins)
-        edf[~short] = _of_models([model] * m.size, m[~short], terms[~short], estimator)
-    return np.maximum(less_for_heavy_tails(edf, samples, m, estimator) if method == "hybrid" else edf, 1.0)
+        edf[~short] = _of_model(model, m[~short], terms[~short])
+    return np.maximum(less_for_heavy_tails(edf, samples, m), 1.0)
 
 
-def _greenhall(samples: FloatArray, m: IntArray, terms: FloatArray, estimator: Estimator) -> FloatArray:
-    models = [
-        GenericModel(variances=tuple(float(law is named) for law in PowerLaw))
-        for named in named_laws(samples, m)
-    ]
-    return _of_models(models, m, terms, estimator)
+def _of_model(model: GenericModel, m: IntArray, terms: FloatArray) -> FloatArray:
+    pairs = zip(m.tolist(), terms.tolist(), strict=True)
+    return np.array([model_edf(model, factor, number) for factor, number in pairs])
 
 
-def _require_method(name: str) -> None:
-    if name not in EDF_METHODS:
-        raise ArgumentError(f"edf method {name!r} is not known: expected one of {', '.join(EDF_METHODS)}")
-
-
-def named_laws(samples: FloatArray, m: IntArray) -> list[PowerLaw]:
-    """Return the power law of the averages of `m` neighbouring samples, for each factor.
-
-    Source: Riley & Greenhall (2004), "Power law noise identification using the lag 1 autocorrelation", EFTF
-    18, eqs. 5-10.
-    """
-    laws: list[PowerLaw] = []
-    for factor in m.tolist():
-        count = samples.size // factor
-        if count < _MIN_AVERAGES:
-            laws.append(laws[-1] if laws else PowerLaw.WHITE)
-            continue
-        averages = samples[: count * factor].reshape(count, factor).mean(axis=1)
-        exponent = _exponent(averages)
-        laws.append(next((law for top, law in _EXPONENTS if exponent < top), PowerLaw.QUANTIZATION))
-    return laws
-
-
-def _exponent(values: FloatArray, differences: int = 0) -> float:
-    """Return the spectral exponent of `values`, differenced until they are stationary."""
-    centred = values - values.mean()
-    square = sum_of_squares(centred)
-    lag_one = float((centred[1:] * centred[:-1]).sum()) / square if square > 0 else 0.0
-    order = lag_one / (1 + lag_one)
-    if order < 0.25 or differences == 2:
-        return -2 * (order + differences)
-    return _exponent(np.diff(values), differences + 1)
-
-
-def _of_models(
-    models: Sequence[GenericModel], m: IntArray, terms: FloatArray, estimator: Estimator
-) -> FloatArray:
-    triples = zip(models, m.tolist(), terms.tolist(), strict=False)
-    return np.array([model_edf(model, factor, number, estimator) for model, factor, number in triples])
-
-
-def spectral_edf(
-    power: FloatArray, bins: DctBins, m: IntArray, terms: FloatArray, estimator: Estimator
-) -> FloatArray:
+def spectral_edf(power: FloatArray, bins: DctBins, m: IntArray, terms: FloatArray) -> FloatArray:
     """Return the degrees of freedom from the spectrum itself, without a model.
 
     With G the spectrum of the differences, EDF = M (mean G)² / mean G². The squared power of a bin of n_b
     ordinates is too large by the factor 1 + 2/n_b, which is divided out. `terms` are the numbers M of
-    differences of an overlapping estimator.
+    differences.
     """
     count = bins.count.astype(np.float64)
     level = power / count
     square = level**2 * count / (count + 2)
     edf = np.empty(m.size)
     for i, (factor, number) in enumerate(zip(m.tolist(), terms.tolist(), strict=True)):
-        response, squared = power_response(bins, factor, estimator)
+        response, squared = power_response(bins, factor)
         first, second = float((count * response) @ level), float((count * squared) @ square)
         edf[i] = number * first**2 / (second * (bins.n - 1)) if second > 0 else number
     return edf
 
 
 @lru_cache(maxsize=256)
-def power_response(bins: DctBins, m: int, estimator: Estimator) -> tuple[FloatArray, FloatArray]:
-    """Return an estimator's response H and its square, averaged over each bin, shape (b,); cached.
+def power_response(bins: DctBins, m: int) -> tuple[FloatArray, FloatArray]:
+    """Return the response H of the Allan variance and its square, averaged over each bin, shape (b,); cached.
 
-    The variance is the mean of H S over all angular frequencies, with S the spectrum per sample. For the
-    Allan variance H = 2 sin(m w/2)^4 / (m sin(w/2))². In wide bins the ripple is replaced by its mean: the
-    mean of (2 sin)^(2j) is the central binomial coefficient of j.
+    The variance is the mean of H S over all angular frequencies, with S the spectrum per sample, and H = 2
+    sin(m w/2)^4 / (m sin(w/2))². In wide bins the ripple is replaced by its mean.
 
     Source: NIST SP 1065 (2008), eq. 65, for sampled data.
     """
-    order = estimator.order
-    tail = (2 * np.sin(bins.omega / 2)) ** (-2 * estimator.integrations) / estimator.scale(m)
-    ripple = (2 * np.sin(m * bins.omega / 2)) ** (2 * order)
+    tail = (2 * np.sin(bins.omega / 2)) ** -2 / (2 * m**2)
+    ripple = (2 * np.sin(m * bins.omega / 2)) ** 4
     wide = bins.count * m * np.pi / bins.n > 1
-    response = np.where(wide, comb(2 * order, order), ripple) * tail
-    squared = np.where(wide, comb(4 * order, 2 * order), ripple**2) * tail**2
+    response = np.where(wide, _MEAN_RIPPLE, ripple) * tail
+    squared = np.where(wide, _MEAN_SQUARED_RIPPLE, ripple**2) * tail**2
     return read_only(response), read_only(squared)
 
 
@@ -424,28 +341,21 @@ def less_for_heavy_tails(
     edf: FloatArray,
     samples: FloatArray,
     m: IntArray,
-    estimator: Estimator,
     neighbours: BoolArray | None = None,
 ) -> FloatArray:
     """Return fewer degrees of freedom for tails heavier than a Gaussian's, more for lighter ones."""
     kappa = max(_HALVED * excess_kurtosis(samples, neighbours), LIGHTEST)
-    independent = samples.size - estimator.order * m + 1.0
+    independent = samples.size - 2 * m + 1.0
     corrected = edf / (1 + kappa * edf / (2 * np.maximum(independent, 1)))
-    return np.where(independent >= estimator.order * m, corrected, edf)
+    return np.where(independent >= 2 * m, corrected, edf)
 
 
-def gappy_degrees_of_freedom(
-    series: AxisSeries, values: GappyVariances, estimator: Estimator, method: str
-) -> FloatArray:
+def gappy_degrees_of_freedom(series: AxisSeries, values: GappyVariances) -> FloatArray:
     """Return the degrees of freedom where samples are missing, shape (k,), each at least 1.
 
-    A series with gaps has no spectrum, so ``hybrid`` and ``model`` use the generic model nearest to the
-    curve. An unknown method is a ValueError.
+    A series with gaps has no spectrum, so the generic model nearest to the curve is used at every time.
     """
-    _require_method(method)
-    if method == "greenhall":
-        return _greenhall(series.samples, values.m, values.terms, estimator)
     model = fit_curve(values.m, values.avar, np.maximum(values.terms / values.m, 1.0))
-    edf = _of_models([model] * values.m.size, values.m, values.terms, estimator) / values.inflation**2
+    edf = _of_model(model, values.m, values.terms) / values.inflation**2
     neighbours = np.diff(series.clock.grid()) == 1
-    return np.maximum(less_for_heavy_tails(edf, series.samples, values.m, estimator, neighbours), 1.0)
+    return np.maximum(less_for_heavy_tails(edf, series.samples, values.m, neighbours), 1.0)

@@ -1,30 +1,22 @@
-"""Variances of any estimator: exact, in cache-sized passes without full-length temporaries, and with gaps.
+"""Allan variances: exact, in cache-sized passes without full-length temporaries, and with gaps.
 
-Small factors are computed block by block, each integrated separately: a difference of second order or more
-cancels the missing offset and slope. Large factors use the whole integral column by column.
+Small factors are computed block by block, each integrated separately: a second difference cancels the missing
+offset and slope. Large factors use the whole integral column by column.
 
-Each estimator is the mean square of a difference of the integrated samples.
-With x the sum of the samples (the angle, for a gyroscope) and z the sum of x:
+The Allan variance, of maximum overlap (MOAV), is the mean square of x[t+2m] - 2 x[t+m] + x[t] over every t,
+divided by 2 m². Here x is the sum of the samples (the angle, for a gyroscope).
 
-==============  ==================================================  =========
-overlapping     x[t+2m] - 2 x[t+m] + x[t], every t                   2 m²
-standard        the same, every m-th t                               2 m²
-modified        z[t+3m] - 3 z[t+2m] + 3 z[t+m] - z[t], every t       2 m⁴
-hadamard        x[t+3m] - 3 x[t+2m] + 3 x[t+m] - x[t], every t       6 m²
-==============  ==================================================  =========
-
-Source: NIST SP 1065 (2008), eqs. 9, 11, 15 (modified: its inner sum of m second differences of
-x is a third difference of z), 22 (overlapping Hadamard).
+Source: NIST SP 1065 (2008), eq. 11.
 
 Missing samples are never interpolated:
 
 windows
-    For ``overlapping``: differences of the means of two neighbouring windows, each at least half as
-    filled as the whole series, minus the effect of the losses. A mean of C of m samples has a variance
-    larger by (1/C - 1/m) S² than a mean of all m, with S² the variance inside windows. For bursts of
-    losses, S² weights the covariance inside windows with the autocorrelation of the losses.
+    Differences of the means of two neighbouring windows, each at least half as filled as the whole series,
+    minus the effect of the losses. A mean of C of m samples has a variance larger by (1/C - 1/m) S² than a
+    mean of all m, with S² the variance inside windows. For bursts of losses, S² weights the covariance inside
+    windows with the autocorrelation of the losses.
 runs
-    For the other estimators: complete differences inside unbroken runs.
+    Between separate rests: complete differences inside unbroken runs.
 
 Source: the finite-population correction, Cochran (1977), Sampling Techniques, ch. 2. The estimator
 from all pairs of samples (Mondal & Percival, 2010, Ann. Inst. Stat. Math. 62) is also unbiased, but its
@@ -41,109 +33,60 @@ import scipy
 from imucal.arrays import FloatArray, IntArray, aligned
 from imucal.clock import Clock
 from imucal.errors import ArgumentError
-from imucal.frozen import frozen, frozen_alone
+from imucal.frozen import frozen_alone
 from imucal.recording import AxisSeries
 
-#: A few of these work arrays fit in a second-level cache of 1 MB.
+#: Samples per block: a few work arrays of this length fit in a second-level cache of 1 MB.
 _BLOCK = 32768
-#: Factors up to this are computed block by block.
+#: Factors up to this are computed block by block; the overlap of two blocks is at most half a block.
 _SMALL = 8192
 #: Row of a sum of squares. OpenBLAS uses threads for dot products of more than 10,000 elements, which are up
 #: to 50 times slower while other programs use the processors.
 _ROW = 8192
-#: Spacing of the windows in `_inside`: this times m / worth², up to the second number; or m / 4 if that
-#: leaves at least the third number of windows.
-_FAR, _FARTHEST, _MIN_INSIDE = 3e-4, 64, 1 << 18
-#: Longer runs use the method for series without losses.
+#: Spacing of the windows in `_inside`, times m / worth². This and the next two constants leave out windows
+#: that cost less than 1 % of an interval's width (`tests/allan/test_gaps.py`).
+_SPACING = 3e-4
+#: Largest spacing from `_SPACING`, in samples.
+_MAX_SPACING = 64
+#: The spacing may grow to m / 4 while at least this many windows are left.
+_MIN_WINDOWS = 1 << 18
+#: Longer runs use the faster method for series without losses; both agree to rounding.
 _LONG = 8 * _ROW
-#: Largest lag of the autocorrelation of losses, in mean gaps and in samples.
-_MEAN_GAPS, _LONGEST = 4, 256
+#: Largest lag of the autocorrelation of losses, in mean gaps: of random gaps exp(-4), 2 %, is left.
+_MEAN_GAPS = 4
+#: Largest lag of the autocorrelation of losses, in samples: it limits the memory and time of long gaps.
+_MAX_LAG = 256
 #: Places of the grid per FFT of the loss pattern.
 _CHUNK = 1 << 17
 #: Chunks that are enough to estimate the structure function.
 _ENOUGH = 16
 
 
-@frozen
-class Estimator:
-    """One estimator of a deviation.
+def variances(samples: FloatArray, m: IntArray) -> FloatArray:
+    """Return the Allan variances of an evenly spaced series, shape (k,), in U².
 
-    The samples are summed once (x) or twice (z). Differences of the given order start at every point if
-    `overlapping`, at every m-th if not. `weight` is the sum of the squared coefficients.
+    The samples, shape (n,), are finite. Averaging factors `m`, shape (k,), are from 1 to n/2; others are a
+    ValueError. O(n) per factor. Memory: one full-length array if a factor is above 8192.
     """
-
-    name: str
-    integrations: int
-    order: int
-    overlapping: bool
-    weight: int
-
-    def terms(self, n: int, m: int) -> int:
-        """Return the number of differences that `n` samples have at averaging factor `m`."""
-        if self.overlapping:
-            return n + self.integrations - self.order * m
-        return n // m + 1 - self.order
-
-    def largest(self, n: int) -> int:
-        """Return the largest averaging factor that `n` samples allow; 0 if they allow none."""
-        return max((n + self.integrations - 1) // self.order, 0)
-
-    def drawn(self, n: int) -> int:
-        """Return the largest factor of a named set, which leaves about 2 to 4 dof."""
-        return max(self.largest(n) // 2, 1)
-
-    def scale(self, m: int) -> float:
-        """Return the divisor of the mean square of the differences."""
-        return float(self.weight) * float(m) ** (2 * self.integrations)
+    terms = samples.size + 1 - 2 * m
+    return square_sums(samples, m) / (2.0 * m.astype(np.float64) ** 2 * terms)
 
 
-ESTIMATORS: dict[str, Estimator] = {
-    estimator.name: estimator
-    for estimator in (
-        Estimator(name="overlapping", integrations=1, order=2, overlapping=True, weight=2),
-        Estimator(name="standard", integrations=1, order=2, overlapping=False, weight=2),
-        Estimator(name="modified", integrations=2, order=3, overlapping=True, weight=2),
-        Estimator(name="hadamard", integrations=1, order=3, overlapping=True, weight=6),
-    )
-}
-
-
-def estimator_named(name: str) -> Estimator:
-    """Return the estimator called `name`; an unknown name is a ValueError."""
-    if name not in ESTIMATORS:
-        raise ArgumentError(f"estimator {name!r} is not known: expected one of {', '.join(ESTIMATORS)}")
-    return ESTIMATORS[name]
-
-
-def variances(samples: FloatArray, m: IntArray, estimator: Estimator) -> FloatArray:
-    """Return the variances of an evenly spaced series, shape (k,), in U².
-
-    The samples, shape (n,), are finite. Averaging factors `m`, shape (k,), are from 1 to
-    ``estimator.largest(n)``; others are a ValueError. O(n) per factor. Memory: one full-length array if a
-    factor is above 8192.
-    """
-    divisors = [estimator.scale(mi) * estimator.terms(samples.size, mi) for mi in m.tolist()]
-    return square_sums(samples, m, estimator) / np.array(divisors, dtype=np.float64).reshape(m.shape)
-
-
-def square_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> FloatArray:
+def square_sums(samples: FloatArray, m: IntArray) -> FloatArray:
     """Return the unscaled sums of the squared differences; arguments as in `variances`."""
-    largest = estimator.largest(samples.size)
+    largest = samples.size // 2
     if m.size and not (m.min() >= 1 and m.max() <= largest):
         msg = (
             f"averaging factors must be in 1..{largest} for {samples.size} samples, got {m.min()}..{m.max()}"
         )
         raise ArgumentError(msg)
-    if not estimator.overlapping:
-        total = _integral(samples, 1)
-        return np.array([sum_of_squares(np.diff(total[::factor], estimator.order)) for factor in m.tolist()])
     sums = np.zeros(m.size)
     small = m <= _SMALL
     if small.any():
-        sums[small] = _small_sums(samples, m[small], estimator)
+        sums[small] = _small_sums(samples, m[small])
     if not small.all():
-        total = _integral(samples, estimator.integrations)
-        sums[~small] = [_column_sum(total, factor, estimator.order) for factor in m[~small].tolist()]
+        total = _integral(samples)
+        sums[~small] = [_column_sum(total, factor) for factor in m[~small].tolist()]
     return sums
 
 
@@ -178,78 +121,66 @@ class SquareSum:
         return float(self._total.sum()) + self._tails
 
 
-def _integral(samples: FloatArray, integrations: int) -> FloatArray:
-    """Return the samples minus their mean, summed once or twice from 0."""
+def _integral(samples: FloatArray) -> FloatArray:
+    """Return the sum of the samples minus their mean, from 0."""
     mean = samples.mean()
-    total = aligned(samples.size + integrations)
-    total[:integrations] = 0.0
-    last = [0.0] * integrations
+    total = aligned(samples.size + 1)
+    total[0] = 0.0
     # A new array per block would cost many page faults.
     work = aligned(min(_BLOCK, samples.size))
     for start in range(0, samples.size, _BLOCK):
         block = samples[start : start + _BLOCK]
         part = np.subtract(block, mean, out=work[: block.size])
-        for level in range(integrations):
-            np.cumsum(part, out=part)
-            part += last[level]
-            last[level] = float(part[-1])
-        total[start + integrations : start + integrations + part.size] = part
+        np.cumsum(part, out=part)
+        part += total[start]
+        total[start + 1 : start + 1 + part.size] = part
     return total
 
 
-def _small_sums(samples: FloatArray, m: IntArray, estimator: Estimator) -> FloatArray:
-    order, depth = estimator.order, estimator.integrations
+def _small_sums(samples: FloatArray, m: IntArray) -> FloatArray:
     factors: list[int] = m.tolist()
-    reach = order * max(factors)
-    end = samples.size + depth
+    reach = 2 * max(factors)
+    end = samples.size + 1
     work = aligned(_BLOCK)
-    lower = [aligned(_BLOCK + reach) for _ in range(order - 1)]
+    first_differences = aligned(_BLOCK + reach)
     squares = [SquareSum(work) for _ in factors]
     integral = aligned(min(_BLOCK + reach, end))
-    for start in range(0, end - order * min(factors), _BLOCK):
+    for start in range(0, end - 2 * min(factors), _BLOCK):
         stop = min(start + _BLOCK + reach, end)
         # The integral of the block alone, from 0, with the block's mean removed.
-        block, local = samples[start : stop - depth], integral[: stop - start]
-        local[:depth] = 0.0
-        part = np.subtract(block, block.mean() if block.size else 0.0, out=local[depth:])
-        for _ in range(depth):
-            np.cumsum(part, out=part)
+        block, local = samples[start : stop - 1], integral[: stop - start]
+        local[0] = 0.0
+        part = np.subtract(block, block.mean(), out=local[1:])
+        np.cumsum(part, out=part)
         for factor, square in zip(factors, squares, strict=True):
-            count = min(_BLOCK, local.size - order * factor)
+            count = min(_BLOCK, local.size - 2 * factor)
             if count > 0:
-                _difference(local[: count + order * factor], factor, lower, work)
+                steps = first_differences[: count + factor]
+                np.subtract(local[factor : count + 2 * factor], local[: count + factor], out=steps)
+                np.subtract(steps[factor:], steps[:count], out=work[:count])
                 square.add(count)
     return np.array([square.total() for square in squares])
 
 
-def _difference(values: FloatArray, m: int, lower: list[FloatArray], out: FloatArray) -> None:
-    for target in (*lower, out):
-        size = values.size - m
-        np.subtract(values[m:], values[:size], out=target[:size])
-        values = target[:size]
-
-
-def _column_sum(total: FloatArray, m: int, order: int) -> float:
+def _column_sum(total: FloatArray, m: int) -> float:
     """Sum the squared differences over columns of start points in steps of m.
 
-    A step needs one new chunk of the integral: the lower differences are kept.
+    A step needs one new chunk of the integral: the previous first differences are kept.
     """
-    count = total.size - order * m
+    count = total.size - 2 * m
     work = aligned(_BLOCK)
     squares = SquareSum(work)
-    kept = [aligned(_BLOCK) for _ in range(order - 1)]
-    fresh = [aligned(_BLOCK) for _ in range(order - 1)]
+    previous = aligned(_BLOCK)
+    current = aligned(_BLOCK)
     for column in range(0, min(m, count), _BLOCK):
         width = min(_BLOCK, m - column, count - column)
         for step, first in enumerate(range(column, total.size - m, m)):
             size = min(width, total.size - m - first)
-            np.subtract(total[first + m : first + m + size], total[first : first + size], out=fresh[0][:size])
-            for level in range(1, min(order - 1, step + 1)):
-                np.subtract(fresh[level - 1][:size], kept[level - 1][:size], out=fresh[level][:size])
-            if step >= order - 1:
-                np.subtract(fresh[-1][:size], kept[-1][:size], out=work[:size])
+            np.subtract(total[first + m : first + m + size], total[first : first + size], out=current[:size])
+            if step:
+                np.subtract(current[:size], previous[:size], out=work[:size])
                 squares.add(size)
-            kept, fresh = fresh, kept
+            previous, current = current, previous
     return squares.total()
 
 
@@ -272,7 +203,7 @@ def longest_run(clock: Clock) -> int:
 
 
 def window_variances(series: AxisSeries, m: IntArray) -> GappyVariances:
-    """Return overlapping variances from windows that are at least half as filled as the whole series.
+    """Return Allan variances from windows that are at least half as filled as the whole series.
 
     A value that is not positive after the correction is left out.
     """
@@ -286,7 +217,7 @@ def window_variances(series: AxisSeries, m: IntArray) -> GappyVariances:
     for start, stop, *_ in long:
         fits = 2 * m <= stop - start
         counts[fits] += stop - start - 2 * m[fits] + 1
-        sums = square_sums(series.samples[start:stop], m[fits], ESTIMATORS["overlapping"])
+        sums = square_sums(series.samples[start:stop], m[fits])
         raw[fits] += sums / m[fits] ** 2
     for i, factor in enumerate(m.tolist()):
         done = [(first, end - 2 * factor + 1) for *_, first, end in long if 2 * factor <= end - first]
@@ -303,16 +234,15 @@ def window_variances(series: AxisSeries, m: IntArray) -> GappyVariances:
     return _positive(m, (raw - added) * half, counts, raw * half)
 
 
-def run_variances(series: AxisSeries, m: IntArray, estimator: Estimator) -> GappyVariances:
-    """Return variances of any estimator from the differences inside unbroken runs."""
+def run_variances(series: AxisSeries, m: IntArray) -> GappyVariances:
+    """Return Allan variances from the differences inside unbroken runs."""
     sums, counts = np.zeros(m.size), np.zeros(m.size)
     for start, stop, *_ in runs_of(series.clock):
-        fits = m <= estimator.largest(stop - start)
+        fits = 2 * m <= stop - start
         if fits.any():
-            sums[fits] += square_sums(series.samples[start:stop], m[fits], estimator)
-            counts[fits] += [estimator.terms(stop - start, mi) for mi in m[fits].tolist()]
-    scale = np.array([estimator.scale(mi) for mi in m.tolist()])
-    avar = sums / scale / np.maximum(counts, 1)
+            sums[fits] += square_sums(series.samples[start:stop], m[fits])
+            counts[fits] += stop - start + 1 - 2 * m[fits]
+    avar = sums / (2.0 * m.astype(np.float64) ** 2) / np.maximum(counts, 1)
     return _positive(m, avar, counts, avar)
 
 
@@ -366,7 +296,7 @@ def _inside(integrals: FloatArray, squares: FloatArray, m: int, worth: float) ->
     `worth` is its weight in the result. In a long series the spacing is up to a quarter of a window, because
     windows in between contain almost the same samples.
     """
-    apart = max(min(m // 4, squares.size // _MIN_INSIDE), int(min(_FAR * m / worth**2, _FARTHEST)), 1)
+    apart = max(min(m // 4, squares.size // _MIN_WINDOWS), int(min(_SPACING * m / worth**2, _MAX_SPACING)), 1)
     within, freedom = 0.0, 0.0
     # Windows far from the ends belong to two pairs.
     last = squares.size - 2 * m
@@ -433,7 +363,7 @@ def _pattern(series: AxisSeries) -> tuple[FloatArray, FloatArray]:
     """Return the autocorrelation of losses and the structure function, from lag 0, (j,)."""
     clock = series.clock
     mean_gap = clock.missing / max(len(clock.gaps), 1)
-    lags = int(min(max(_MEAN_GAPS * np.ceil(mean_gap), 1), _LONGEST, clock.grid_size))
+    lags = int(min(max(_MEAN_GAPS * np.ceil(mean_gap), 1), _MAX_LAG, clock.grid_size))
     mean = float(series.samples.mean())
     pairs, squares, seen, possible = np.zeros((4, lags))
     # A few chunks determine the structure function, not the loss pattern.

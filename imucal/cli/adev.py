@@ -5,8 +5,7 @@ from typing import Any
 import click
 
 from imucal._version import __version__
-from imucal.allan.intervals import EDF_METHODS
-from imucal.allan.variance import ESTIMATORS
+from imucal.arrays import release
 from imucal.cli._printing import echo, picked, print_findings, print_json, print_note, refuse
 from imucal.cli.log_request import LogRequest
 from imucal.cli.options import ADVANCED, OUTPUT, Command, flag, force, level, log_options, option, unwrapped
@@ -19,7 +18,7 @@ from imucal.recording import AxisSeries, Recording
 _EPILOG = unwrapped("""
 Examples:
   imucal adev log.mcap > curves.csv
-  imucal adev log.bag --taus decade:20 --estimator modified
+  imucal adev log.bag --taus decade:20
   imucal adev log.csv --taus 0.1,1,10,10min --json
 
 Exit codes: 0 done, 2 usage, 3 the log can't be read, 4 the data can't be
@@ -28,13 +27,6 @@ analysed or are not noise at rest (with --strict: or a warning was found).
 
 
 @click.command(cls=Command, epilog=_EPILOG)
-@option(
-    "--estimator",
-    type=click.Choice(list(ESTIMATORS)),
-    default="overlapping",
-    show_default=True,
-    help="Kind of deviation.",
-)
 @force
 @flag("--json", "as_json", group=OUTPUT, help="Print JSON instead of CSV, with the spectrum of each axis.")
 @log_options
@@ -48,38 +40,29 @@ analysed or are not noise at rest (with --strict: or a warning was found).
     show_default=True,
     help="Averaging times: octave, decade, decade:20, all, or a list such as 0.1,1,10min.",
 )
-@option(
-    "--edf",
-    group=ADVANCED,
-    type=click.Choice(EDF_METHODS),
-    default="hybrid",
-    show_default=True,
-    help="Method for the degrees of freedom of the intervals.",
-)
 def command(
     *,
     request: LogRequest,
     taus: str | tuple[float, ...],
-    estimator: str,
-    edf: str,
     level: float,
     as_json: bool,
 ) -> None:
     """Print the Allan deviations of every axis of LOG as CSV or JSON.
 
-    The deviations are those of the rate signal, in rad/s and m/s^2. The columns low and high are the
-    limits of the interval; edf is its degrees of freedom. Averaging times end where about 2 degrees of
-    freedom are left, except with --taus all.
+    The deviations are overlapping Allan deviations of the rate signal, in rad/s and m/s^2. The columns
+    low and high are the limits of the interval; edf is its degrees of freedom. Averaging times end where
+    about 2 degrees of freedom are left, except with --taus all.
     """
     recording = request.read()
-    arguments = {"taus": taus, "estimator": estimator, "edf": edf}
     axes: list[dict[str, Any]] = []
     failures: dict[str, DataError] = {}
     for series in recording.series:
         try:
-            axes.append(_axis(series, arguments, level=level, spectrum=as_json))
+            axes.append(_axis(series, taus, level=level, spectrum=as_json))
         except DataError as error:
             failures[series.name] = error
+        # Samples in a temporary file can leave the memory.
+        release(series.samples)
     if not axes:
         missing = DataError("found no axis of a gyroscope or an accelerometer", place=recording.source.path)
         raise next(iter(failures.values()), missing)
@@ -117,8 +100,10 @@ def _findings(recording: Recording, failures: dict[str, DataError]) -> list[Find
     return [one for one in found if one.code != "no-data" or one.axis not in failures] + failed
 
 
-def _axis(series: AxisSeries, arguments: dict[str, Any], *, level: float, spectrum: bool) -> dict[str, Any]:
-    """Return the entry of one axis as JSON values, with the `arguments` of `allan_curve`."""
+def _axis(
+    series: AxisSeries, taus: str | tuple[float, ...], *, level: float, spectrum: bool
+) -> dict[str, Any]:
+    """Return the entry of one axis as JSON values."""
     from imucal import allan
 
     if series.n and not series.usable.any():
@@ -126,13 +111,13 @@ def _axis(series: AxisSeries, arguments: dict[str, Any], *, level: float, spectr
             f"no usable samples among {series.n}: all are NaN, infinite or absurdly large",
             place=series.name,
         )
-    curve = allan.allan_curve(series, **arguments)
+    curve = allan.allan_curve(series, taus=taus)
     low, high = curve.confidence_interval(level)
     axis: dict[str, Any] = {
         **picked(series, "name sensor axis unit"),
         "samples": curve.n,
         "rate_hz": series.rate_hz,
-        **picked(curve, "estimator computed edf_method"),
+        "computed": curve.computed,
         "curve": {
             **picked(curve, "tau_s=tau m adev"),
             "low": low.tolist(),

@@ -6,7 +6,7 @@ import numpy as np
 
 from imucal.allan import AllanCurve, allan_curve, spectrum
 from imucal.allan.dct import Transform
-from imucal.allan.engine import refuse_tiny, same_curve
+from imucal.allan.engine import refuse_tiny
 from imucal.arrays import FloatArray
 from imucal.fitting.cross_checks import ambiguity_findings, filtered_curve_findings, unseen_spectrum
 from imucal.fitting.noise_fit import Estimate, NoiseFit
@@ -127,7 +127,7 @@ def fit_axis(
     if curve is None:
         curve = allan_curve(cleaned, transform=transform)
     elif cleaned is not series:
-        curve = same_curve(cleaned, curve, transform)
+        curve = allan_curve(cleaned, taus=curve.tau.tolist(), transform=transform)
     result = method(cleaned, curve, settings, temperature, transform)
     goodness = replace(result.goodness, spikes=_rms_difference(series, cleaned))
     return replace(result, findings=findings + result.findings, goodness=goodness)

@@ -17,8 +17,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from imucal.allan import allan_curve
 from imucal.allan.dct import Spectrum
-from imucal.allan.engine import same_curve
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.findings import Finding
@@ -101,7 +101,7 @@ def fit_of_curve(series: AxisSeries, first: NoiseFit, temperature: FloatArray | 
     curve = first.curve
     if first.taken_out:
         series = without_disturbances(series, first, temperature)
-        curve = same_curve(series, curve)
+        curve = allan_curve(series, taus=curve.tau.tolist())
     if (share := first.noise_share) is not None:
         keep = (share > _MIN_NOISE_RATIO) & (share < 1 / _MIN_NOISE_RATIO)
         shown = np.count_nonzero(keep)

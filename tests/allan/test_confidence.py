@@ -1,4 +1,4 @@
-"""Tests of confidence intervals of Allan variances: coverage, methods and heavy tails."""
+"""Tests of confidence intervals of Allan variances: coverage, the generic fit and heavy tails."""
 
 from dataclasses import replace
 
@@ -17,17 +17,15 @@ from imucal.allan.intervals import (
     gappy_degrees_of_freedom,
     less_for_heavy_tails,
     model_edf,
-    named_laws,
     spectral_edf,
 )
-from imucal.allan.variance import ESTIMATORS, GappyVariances
+from imucal.allan.variance import GappyVariances
 from imucal.arrays import FloatArray
 from imucal.noise import NoiseModel
 from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries
 from tests.benchmarks.coverage_allan import HELD_OUT, STANDARD, coverage
 
-OVERLAPPING = ESTIMATORS["overlapping"]
 WHITE = GenericModel(variances=(0.0, 1.0, 0.0, 0.0))
 REPLICATIONS = 250
 
@@ -63,34 +61,25 @@ def test_intervals_have_the_nominal_coverage_at_68_percent() -> None:
     assert share.mean() == pytest.approx(0.69, abs=0.04)
 
 
-def test_lag_one_identification_is_too_narrow() -> None:
-    """The coverage is below 94 % at long times, so `greenhall` is not the default."""
-    m, greenhall = coverage(STANDARD["N"], 150, seed=4, edf="greenhall")
-    assert greenhall[m >= 256].mean() < 0.94
-
-
-def test_hybrid_and_model_agree_for_a_true_model() -> None:
-    """For white noise, the spectral form scatters by 1 % at first and by 10 % at the crossover."""
+def test_degrees_of_freedom_of_white_noise_agree_with_its_model() -> None:
+    """They scatter by 1 % at first, and by 10 % at m = 256, where the fitted model follows the spectrum."""
     samples = np.random.default_rng(5).standard_normal(65_536)
     m = 2 ** np.arange(15)
-    hybrid = degrees_of_freedom(samples, m, OVERLAPPING, "hybrid")
-    model = degrees_of_freedom(samples, m, OVERLAPPING, "model")
-    npt.assert_allclose(hybrid[:6], model[:6], rtol=0.05)
-    npt.assert_allclose(hybrid, model, rtol=0.3)
-    exact = [model_edf(WHITE, k, OVERLAPPING.terms(65_536, k), OVERLAPPING) for k in m.tolist()]
-    npt.assert_allclose(model[:10], exact[:10], rtol=0.05)
+    edf = degrees_of_freedom(samples, m)
+    exact = [model_edf(WHITE, k, 65_537 - 2 * k) for k in m.tolist()]
+    npt.assert_allclose(edf[:6], exact[:6], rtol=0.05)
+    npt.assert_allclose(edf, exact, rtol=0.3)
 
 
-@pytest.mark.parametrize("name", ["overlapping", "modified", "hadamard"])
-def test_the_spectral_form_is_exact_in_expectation(name: str) -> None:
+def test_the_spectral_form_is_exact_in_expectation() -> None:
     """Its mean over spectra of white noise agrees with the model's degrees of freedom to 4 %."""
-    n, table, rng = 20_000, ESTIMATORS[name], np.random.default_rng(15)
+    n, rng = 20_000, np.random.default_rng(15)
     bins = dct_bins(n)
     powers = [rng.chisquare(bins.count) for _ in range(50)]
     for m in (1, 5, 60):
-        terms = np.array([float(table.terms(n, m))])
-        got = [spectral_edf(power, bins, np.array([m]), terms, table)[0] for power in powers]
-        assert np.mean(got) == pytest.approx(model_edf(WHITE, m, terms[0], table), rel=0.04)
+        terms = np.array([n + 1.0 - 2 * m])
+        got = [spectral_edf(power, bins, np.array([m]), terms)[0] for power in powers]
+        assert np.mean(got) == pytest.approx(model_edf(WHITE, m, terms[0]), rel=0.04)
 
 
 def test_heavy_tails_reduce_the_degrees_of_freedom() -> None:
@@ -99,8 +88,8 @@ def test_heavy_tails_reduce_the_degrees_of_freedom() -> None:
     normal, heavy = rng.standard_normal(100_000), rng.laplace(size=100_000)
     assert excess_kurtosis(normal) == pytest.approx(0.0, abs=4 * np.sqrt(24 / 100_000))
     assert excess_kurtosis(heavy) == pytest.approx(1.5, abs=0.15)
-    before = degrees_of_freedom(normal, np.array([1]), OVERLAPPING, "hybrid")[0]
-    after = degrees_of_freedom(heavy, np.array([1]), OVERLAPPING, "hybrid")[0]
+    before = degrees_of_freedom(normal, np.array([1]))[0]
+    after = degrees_of_freedom(heavy, np.array([1]))[0]
     assert after == pytest.approx(1 / (1 / before + 3 / 2 / 100_000), rel=0.06)
 
 
@@ -110,29 +99,21 @@ def test_the_kurtosis_of_few_or_constant_samples_is_zero() -> None:
     assert excess_kurtosis(np.ones(100)) == 0.0
 
 
-@pytest.mark.parametrize("method", ["hybrid", "model", "greenhall"])
 @pytest.mark.parametrize("n", [2, 3, 4, 7, 64])
-def test_every_method_supports_short_series(method: str, n: int) -> None:
+def test_short_series_have_degrees_of_freedom(n: int) -> None:
     """There is at least one degree of freedom and never NaN."""
     samples = np.random.default_rng(n).standard_normal(n)
     m = np.arange(1, n // 2 + 1)
-    edf = degrees_of_freedom(samples, m, OVERLAPPING, method)
+    edf = degrees_of_freedom(samples, m)
     assert np.all(edf >= 1)
     assert np.all(np.isfinite(edf))
 
 
-@pytest.mark.parametrize("method", ["hybrid", "model", "greenhall"])
-def test_a_constant_series_has_a_curve_of_zeros(method: str) -> None:
+def test_a_constant_series_has_a_curve_of_zeros() -> None:
     """The degrees of freedom are finite, so later steps never get NaN."""
-    curve = allan_curve(AxisSeries.from_samples(np.full(500, 9.81), rate_hz=1.0), edf=method)
+    curve = allan_curve(AxisSeries.from_samples(np.full(500, 9.81), rate_hz=1.0))
     npt.assert_allclose(curve.adev, 0.0, atol=1e-14)
     assert np.all(np.isfinite(curve.edf))
-
-
-def test_an_unknown_method_is_rejected() -> None:
-    """The error lists the methods."""
-    with pytest.raises(ValueError, match="'gaussian'"):
-        degrees_of_freedom(np.zeros(10), np.array([1]), OVERLAPPING, "gaussian")
 
 
 @pytest.mark.parametrize(
@@ -183,23 +164,6 @@ def test_the_generic_fit_recovers_an_exact_curve() -> None:
     npt.assert_allclose(avar(fit_curve(m, truth, 1e4 / m).variances, m), truth, rtol=1e-6)
 
 
-def test_lag_one_identification_finds_the_law() -> None:
-    """Long series of each law are identified at short averaging times; few averages keep the earlier law."""
-    rng = np.random.default_rng(9)
-    for law, text in zip(PowerLaw, ("Q=1", "N=1", "B=1", "K=1"), strict=True):
-        samples = NoiseModel.parse(text).simulate(50_000, rate_hz=1.0, rng=rng)
-        assert named_laws(samples, np.array([1, 8]))[0] is law
-    assert named_laws(np.ones(10), np.array([1])) == [PowerLaw.WHITE]
-
-
-def test_thirty_averages_identify_a_law() -> None:
-    """An alternating series is quantization noise; with fewer averages white noise is assumed."""
-    samples = np.resize([1.0, -1.0], 300)
-    assert named_laws(samples[:29], np.array([1])) == [PowerLaw.WHITE]
-    assert named_laws(samples[:30], np.array([1])) == [PowerLaw.QUANTIZATION]
-    assert named_laws(samples, np.array([1, 100])) == [PowerLaw.QUANTIZATION] * 2
-
-
 @pytest.mark.parametrize("m", [1, 24, 25, 26, 40])
 def test_tails_count_while_there_are_enough_windows(m: int) -> None:
     """For n = 99 this is n - 2m + 1 >= 2m, or m <= 25; then Var gains kappa/n of the square."""
@@ -209,14 +173,14 @@ def test_tails_count_while_there_are_enough_windows(m: int) -> None:
     kappa = 2 * (np.mean(steps**4) / np.mean(steps**2) ** 2 - 3)
     assert kappa > 0.5
     expected = 10 / (1 + kappa * 10 / (2 * (100 - 2 * m))) if m <= 25 else 10.0
-    found = less_for_heavy_tails(np.array([10.0]), samples, np.array([m]), OVERLAPPING)[0]
+    found = less_for_heavy_tails(np.array([10.0]), samples, np.array([m]))[0]
     assert found == pytest.approx(expected)
 
 
 def test_the_lightest_tails_are_uniform() -> None:
     """Two alternating values have an excess of -2, but -1.2 is used."""
     samples = np.cumsum(np.resize([1.0, -1.0], 400))
-    found = less_for_heavy_tails(np.array([10.0]), samples, np.array([1]), OVERLAPPING)[0]
+    found = less_for_heavy_tails(np.array([10.0]), samples, np.array([1]))[0]
     assert found == pytest.approx(10 / (1 - 1.2 * 10 / (2 * 399)))
 
 
@@ -232,7 +196,7 @@ def test_tails_of_a_record_with_gaps_use_adjacent_samples_only() -> None:
     for name, samples in noise.items():
         for kind, extra in (("flat", 0.0), ("stepped", levels)):
             series = AxisSeries.from_samples(samples + extra, rate_hz=1.0).keeping(keep)
-            edf[name, kind] = gappy_degrees_of_freedom(series, values, OVERLAPPING, "model")[0]
+            edf[name, kind] = gappy_degrees_of_freedom(series, values)[0]
     for name in noise:
         assert edf[name, "stepped"] == pytest.approx(edf[name, "flat"], rel=1e-3)
     assert edf["laplace", "flat"] < 0.6 * edf["normal", "flat"]
@@ -248,8 +212,7 @@ def test_the_degrees_of_freedom_fall_with_the_square_of_the_inflation() -> None:
         m=np.array([200]), avar=np.ones(1), terms=np.full(1, 9000.0), inflation=np.array([1.0])
     )
     plain, inflated = (
-        gappy_degrees_of_freedom(series, replace(one, inflation=np.array([by])), OVERLAPPING, "hybrid")[0]
-        for by in (1.0, 2.0)
+        gappy_degrees_of_freedom(series, replace(one, inflation=np.array([by])))[0] for by in (1.0, 2.0)
     )
     assert inflated == pytest.approx(plain / 4)
 

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from imucal.allan import allan_curve, variance
 from imucal.allan.variance import (
-    ESTIMATORS,
     _positive,
     longest_run,
     run_variances,
@@ -23,7 +22,6 @@ from imucal.noise import NoiseModel
 from imucal.recording import AxisSeries
 from tests.slow_cases import first_by_default
 
-OVERLAPPING = ESTIMATORS["overlapping"]
 MODEL = NoiseModel.parse("N=1 + K=0.0031622776601683794")
 PLACES = 32_768
 
@@ -112,8 +110,8 @@ def test_shortcuts_for_long_records_are_accurate(
     rows = window_variances(series, m)
     npt.assert_array_equal(found.terms, rows.terms)
     npt.assert_allclose(found.avar, rows.avar, rtol=1e-9)
-    monkeypatch.setattr(variance, "_FARTHEST", 1)
-    monkeypatch.setattr(variance, "_MIN_INSIDE", n)
+    monkeypatch.setattr(variance, "_MAX_SPACING", 1)
+    monkeypatch.setattr(variance, "_MIN_WINDOWS", n)
     every = window_variances(series, m)
     npt.assert_array_less(np.abs(rows.avar / every.avar - 1), 0.01 * 4 * np.sqrt(1.5 * m / n))
     assert np.any(rows.avar != every.avar)
@@ -135,7 +133,7 @@ def test_values_without_gaps_are_exact() -> None:
     samples = MODEL.simulate(4096, rate_hz=1.0, rng=np.random.default_rng(2))
     m = np.array([1, 4, 64])
     found = window_variances(_series(samples), m)
-    npt.assert_allclose(found.avar, variances(samples, m, OVERLAPPING), rtol=1e-11)
+    npt.assert_allclose(found.avar, variances(samples, m), rtol=1e-11)
     npt.assert_allclose(found.inflation, 1.0)
 
 
@@ -236,22 +234,21 @@ def test_a_constant_with_gaps_has_a_curve_of_zeros() -> None:
     assert np.all(np.isfinite(curve.edf))
 
 
-@pytest.mark.parametrize("name", ["standard", "modified", "hadamard"])
-def test_other_estimators_use_differences_inside_runs_only(name: str) -> None:
+def test_separate_rests_use_differences_inside_runs_only() -> None:
     """The value is the mean over runs weighted by their differences, so a jump between runs has no effect."""
-    rng, table = np.random.default_rng(6), ESTIMATORS[name]
-    samples = rng.standard_normal(3000)
+    samples = np.random.default_rng(6).standard_normal(3000)
     samples[1100:] += 50.0
     keep = np.ones(3000, dtype=bool)
     keep[1000:1100] = False
     series, m = _series(samples, keep), np.array([1, 5, 100])
-    parts = [samples[:1000], samples[1100:]]
-    terms = np.array([[table.terms(part.size, k) for k in m.tolist()] for part in parts])
-    expected = sum(t * variances(part, m, table) for t, part in zip(terms, parts, strict=True)) / terms.sum(0)
-    npt.assert_allclose(run_variances(series, m, table).avar, expected, rtol=1e-9)
-    curve = allan_curve(series, estimator=name)
+    first, second = samples[:1000], samples[1100:]
+    first_terms, second_terms = 1001 - 2 * m, 1901 - 2 * m
+    sums = first_terms * variances(first, m) + second_terms * variances(second, m)
+    expected = sums / (first_terms + second_terms)
+    npt.assert_allclose(run_variances(series, m).avar, expected, rtol=1e-9)
+    curve = allan_curve(replace(series, clock=replace(series.clock, apart=True)))
     assert curve.computed == "runs"
-    assert curve.m[-1] <= table.drawn(1900)
+    assert curve.m[-1] == 256
     assert longest_run(series.clock) == 1900
 
 
@@ -263,22 +260,16 @@ def test_adjacent_segments_are_one_run() -> None:
     clock = Clock(source="given rate", rate_hz=100.0, segments=parts)
     series = replace(_series(samples), clock=clock)
     assert longest_run(clock) == 1000
-    m, table = np.array([1, 20, 300]), ESTIMATORS["hadamard"]
-    terms = np.array([[table.terms(n, k) if 3 * k <= n else 0 for k in m.tolist()] for n in (1000, 500)])
-    found = run_variances(series, m, table)
-    npt.assert_array_equal(found.terms, terms.sum(axis=0))
+    found = run_variances(series, np.array([1, 20, 300]))
+    npt.assert_array_equal(found.terms, [999 + 499, 961 + 461, 401])
 
 
 def test_a_factor_too_long_for_every_run_is_omitted() -> None:
-    """Runs of 40 samples have no third difference of 20."""
+    """Runs of 40 samples have no second difference of 21."""
     keep = np.ones(1000, dtype=bool)
     keep[40::41] = False
-    values = run_variances(
-        _series(np.random.default_rng(7).standard_normal(1000), keep),
-        np.array([1, 13, 20]),
-        ESTIMATORS["hadamard"],
-    )
-    npt.assert_array_equal(values.m, [1, 13])
+    series = _series(np.random.default_rng(7).standard_normal(1000), keep)
+    npt.assert_array_equal(run_variances(series, np.array([1, 20, 21])).m, [1, 20])
 
 
 def _naive_added(samples: FloatArray, keep: NDArray[np.bool_], m: int) -> float:

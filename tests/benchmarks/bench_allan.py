@@ -4,8 +4,8 @@
 
 Every contender runs in its own process, so that none profits from another's warm memory. Times are CPU
 seconds (user and system) of the first call and of the best of three. ``--large`` adds n = 1e8: the
-relative error against exact integers on a mean of 9.8 million sigma, and the strides over a mapped file
-of 86 million samples. ``--targets`` only runs the measurements of the targets.
+relative error against exact integers on a mean of 9.8 million sigma. ``--targets`` only runs the measurements
+of the targets.
 """
 
 import json
@@ -13,22 +13,18 @@ import os
 import resource
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from imucal.allan import allan_curve, engine
 from imucal.allan.intervals import degrees_of_freedom
-from imucal.allan.variance import ESTIMATORS, variances
+from imucal.allan.variance import variances
 from imucal.arrays import FloatArray, IntArray
-from imucal.recording import AxisSeries
 
 __all__ = ["main"]
 
-OVERLAPPING = ESTIMATORS["overlapping"]
 #: Samples -> required ratio of AllanTools' time to the curve with intervals, best of three.
 TARGETS = {1_000_000: 2.5, 10_000_000: 5.0}
 
@@ -57,17 +53,11 @@ def allantools(samples: FloatArray, m: IntArray) -> FloatArray:
 
 
 def exact(samples: FloatArray, m: IntArray) -> FloatArray:
-    return variances(samples, m, OVERLAPPING)
-
-
-def strided(samples: FloatArray, m: IntArray) -> FloatArray:
-    """Return the curve of a log larger than memory, with the number of factors of the other contenders."""
-    engine.memory_limit = lambda: 0  # type: ignore[attr-defined]
-    return allan_curve(AxisSeries.from_samples(samples, rate_hz=1.0), taus="decade:17").avar[: m.size]
+    return variances(samples, m)
 
 
 def intervals(samples: FloatArray, m: IntArray) -> FloatArray:
-    return degrees_of_freedom(samples, m, OVERLAPPING, "hybrid")
+    return degrees_of_freedom(samples, m)
 
 
 def with_intervals(samples: FloatArray, m: IntArray) -> FloatArray:
@@ -80,7 +70,6 @@ CONTENDERS: dict[str, Callable[[FloatArray, IntArray], FloatArray]] = {
     "AllanTools oadev": allantools,
     "plain NumPy": plain,
     "imucal exact": exact,
-    "imucal strided": strided,
     "imucal intervals": intervals,
     "imucal curve with intervals": with_intervals,
 }
@@ -181,27 +170,11 @@ def large() -> None:
     del whole, angle
 
 
-def strides() -> None:
-    """Compute the curve of a mapped file of 86 million samples; print its CPU time and memory."""
-    n, rng = 86_000_000, np.random.default_rng(1)
-    with tempfile.NamedTemporaryFile() as file:
-        for start in range(0, n, 1_000_000):
-            file.write((rng.standard_normal(min(1_000_000, n - start)) + 9.8).tobytes())
-        file.flush()
-        samples = np.memmap(file.name, dtype=np.float64, mode="r")
-        before, began = peak_mb(), time.process_time()
-        engine.memory_limit = lambda: 0  # type: ignore[attr-defined]
-        curve = allan_curve(AxisSeries.from_samples(samples, rate_hz=1.0), taus="decade:27")
-        spent, held = time.process_time() - began, peak_mb() - before
-    print(f"86 M samples, {curve.m.size} factors: {spent:.1f} s CPU, {held:.0f} MB with mapped pages")
-
-
 def main() -> None:
     if sys.argv[1:2] == ["--one"]:
         one(sys.argv[2], int(sys.argv[3]))
         return
     if "--large" in sys.argv:
-        strides()
         large()
     bandwidth = copy_bandwidth()
     rows = [compare(n, bandwidth) for n in TARGETS]

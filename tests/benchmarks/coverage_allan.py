@@ -1,6 +1,6 @@
 """Coverage of the intervals of an Allan curve: prints tables in Markdown.
 
-    python tests/benchmarks/coverage_allan.py [replications] [edf method]
+    python tests/benchmarks/coverage_allan.py [replications]
 
 Every series has n = 4096 samples; the curve is the default one (octaves, m <= n/4). The method was
 designed on the settings of the first table; those of the second are held out.
@@ -153,7 +153,7 @@ GROUPS = {"standard": STANDARD, "held out": HELD_OUT, "gaps": GAPPY}
 
 
 def coverage(
-    setting: Setting, replications: int, seed: int, *, edf: str = "hybrid", level: float = 0.95
+    setting: Setting, replications: int, seed: int, *, level: float = 0.95
 ) -> tuple[FloatArray, FloatArray]:
     """Return the averaging factors and the share of intervals that cover the truth, each (k,)."""
     draw, truth = setting
@@ -162,7 +162,7 @@ def coverage(
     true = np.sqrt(truth(m))
     held, count = np.zeros((2, m.size))
     for _ in range(replications):
-        curve = allan_curve(AxisSeries.from_samples(draw(rng), rate_hz=1.0), edf=edf)
+        curve = allan_curve(AxisSeries.from_samples(draw(rng), rate_hz=1.0))
         there = np.isin(m, curve.m)
         low, high = curve.confidence_interval(level)
         held[there] += (low <= true[there]) & (true[there] <= high)
@@ -170,20 +170,19 @@ def coverage(
     return m, held / np.maximum(count, 1)
 
 
-def _row(job: tuple[str, str, int, int, str]) -> tuple[str, str, FloatArray, FloatArray]:
-    group, name, replications, seed, edf = job
-    m, share = coverage(GROUPS[group][name], replications, seed, edf=edf)
+def _row(job: tuple[str, str, int, int]) -> tuple[str, str, FloatArray, FloatArray]:
+    group, name, replications, seed = job
+    m, share = coverage(GROUPS[group][name], replications, seed)
     return group, name, m, share
 
 
 def main() -> None:
     replications = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
-    edf = sys.argv[2] if len(sys.argv) > 2 else "hybrid"
     began = time.perf_counter()
-    jobs = [(g, name, replications, 100 + i, edf) for g, s in GROUPS.items() for i, name in enumerate(s)]
+    jobs = [(g, name, replications, 100 + i) for g, s in GROUPS.items() for i, name in enumerate(s)]
     with ProcessPoolExecutor(2) as pool:
         rows = list(pool.map(_row, jobs))
-    print(f"Coverage of 95 % intervals, in %; n = {N}, {replications} replications, edf {edf}.")
+    print(f"Coverage of 95 % intervals, in %; n = {N}, {replications} replications.")
     for group in GROUPS:
         mine = [row for row in rows if row[0] == group]
         print(f"\n| {group}, m = | " + " | ".join(f"{m:.0f}" for m in mine[0][2]) + " | mean |")

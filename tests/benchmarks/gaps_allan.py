@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.allan.variance import ESTIMATORS, variances, window_variances
+from imucal.allan.variance import variances, window_variances
 from imucal.arrays import FloatArray, IntArray
 from imucal.noise import NoiseModel
 from imucal.recording import AxisSeries
@@ -22,7 +22,6 @@ __all__ = ["main"]
 
 PLACES = 65_536
 FACTORS = np.array([16, 256, 1024, 4096])
-OVERLAPPING = ESTIMATORS["overlapping"]
 MODELS = {
     "N=1 + K=3.1623e-3": NoiseModel.parse("N=1 + K=0.0031622776601683794"),
     "N=1": NoiseModel.parse("N=1"),
@@ -32,20 +31,20 @@ Way = Callable[[FloatArray, NDArray[np.bool_]], FloatArray]
 
 
 def full(samples: FloatArray, _: NDArray[np.bool_]) -> FloatArray:
-    return variances(samples, FACTORS, OVERLAPPING)
+    return variances(samples, FACTORS)
 
 
 def concatenated(samples: FloatArray, keep: NDArray[np.bool_]) -> FloatArray:
-    return variances(samples[keep], FACTORS, OVERLAPPING)
+    return variances(samples[keep], FACTORS)
 
 
 def mean_filled(samples: FloatArray, keep: NDArray[np.bool_]) -> FloatArray:
-    return variances(np.where(keep, samples, samples[keep].mean()), FACTORS, OVERLAPPING)
+    return variances(np.where(keep, samples, samples[keep].mean()), FACTORS)
 
 
 def interpolated(samples: FloatArray, keep: NDArray[np.bool_]) -> FloatArray:
     place = np.arange(samples.size)
-    return variances(np.interp(place, place[keep], samples[keep]), FACTORS, OVERLAPPING)
+    return variances(np.interp(place, place[keep], samples[keep]), FACTORS)
 
 
 def _gappy(samples: FloatArray, keep: NDArray[np.bool_]) -> AxisSeries:

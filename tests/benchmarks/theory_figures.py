@@ -18,7 +18,7 @@ from scipy.special import chdtri, ndtri
 
 from imucal import AxisSeries, NoiseModel, allan_curve, avar_from_acvf, avar_from_psd, decompose, fit
 from imucal.allan.intervals import GenericModel, model_edf
-from imucal.allan.variance import ESTIMATORS, variances
+from imucal.allan.variance import variances
 from imucal.arrays import FloatArray
 from imucal.report.figure import render
 from imucal.report.figure_bias import bias_figure
@@ -82,7 +82,7 @@ def moving_average_figure(records: int = 200) -> Figure:
         left.plot(few, np.sqrt(by_acvf), "+", color=colour, markersize=12)
         noise = rng.standard_normal((records, 4001))
         drawn = noise[:, 1:] + theta * noise[:, :-1]
-        mean = np.mean([variances(one, few, ESTIMATORS["overlapping"]) for one in drawn], axis=0)
+        mean = np.mean([variances(one, few) for one in drawn], axis=0)
         left.plot(few, np.sqrt(mean), ".", color=INK, markersize=4, zorder=9)
         right.plot(f, psd(f), color=colour, linewidth=1.5)
     left.plot([], [], "o", color=FADED, markerfacecolor="none", label="avar_from_psd")
@@ -146,8 +146,7 @@ def _moments(records: int, n: int, m: FloatArray) -> tuple[FloatArray, dict[str,
     model = NoiseModel.parse("N=1 + K=0.02")
     rng, truth = np.random.default_rng(83), model.avar(m, rate_hz=1.0)
     generic = GenericModel(variances=(0.0, 1.0, 0.0, 0.02**2))
-    estimator = ESTIMATORS["overlapping"]
-    exact = np.array([model_edf(generic, int(k), n - 2 * k + 1, estimator) for k in m])
+    exact = np.array([model_edf(generic, int(k), n - 2 * k + 1) for k in m])
     q, avar = float(ndtri(0.975)), np.empty((records, m.size))
     held: dict[str, list[np.ndarray]] = {name: [] for name in ("imucal", "exact", "counted")}
     for i in range(records):

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from imucal.allan.variance import ESTIMATORS, variances
+from imucal.allan.variance import variances
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import (
@@ -95,9 +95,7 @@ def test_avar_is_the_integral_of_the_psd(term: NoiseTerm, m: int) -> None:
 def test_simulated_samples_have_the_avar(term: NoiseTerm) -> None:
     """The mean of 60 series is within four standard errors at short and long averages."""
     rng, m = np.random.default_rng(3), np.array([1, 4, 64, 500])
-    drawn = np.array(
-        [variances(term.simulate(4000, TAU0, rng), m, ESTIMATORS["overlapping"]) for _ in range(60)]
-    )
+    drawn = np.array([variances(term.simulate(4000, TAU0, rng), m) for _ in range(60)])
     error = drawn.std(axis=0) / np.sqrt(60)
     assert np.all(np.abs(drawn.mean(axis=0) - term.avar(m.astype(np.float64), TAU0)) < 4 * error)
 

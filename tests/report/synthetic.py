@@ -73,7 +73,7 @@ def axis_report(
         candidates=(Candidate(structure=str(model), delta=0.0), Candidate(structure="N + K", delta=3.7)),
         criterion="bic",
         findings=fit_findings,
-        settings={"edf": "hybrid", "taus": "octave"},
+        settings={"taus": "octave"},
     )
     white = float(np.sqrt(model.avar(np.ones(1), rate_hz=rate_hz)[0]))
     return AxisReport(

@@ -16,7 +16,6 @@ import numpy as np
 from imucal.allan.curve import AllanCurve
 from imucal.allan.dct import Transform
 from imucal.allan.intervals import power_response
-from imucal.allan.variance import ESTIMATORS
 from imucal.arrays import FloatArray, IntArray
 from imucal.findings import Finding
 from imucal.fitting.homogeneity import (
@@ -283,7 +282,7 @@ def _noise_share(view: View, fitted: Fits, curve: AllanCurve, rate_hz: float) ->
     square = (np.array([line.amplitude for line in lines]) / whole.scale) ** 2
     share = np.empty(curve.m.size)
     for i, m in enumerate(curve.m.tolist()):
-        response = bins.count * power_response(bins, m, ESTIMATORS["overlapping"])[0]
+        response = bins.count * power_response(bins, m)[0]
         of_lines = float(np.sum(square * np.sin(half * m) ** 4 / (m * np.sin(half)) ** 2))
         total = float(response @ seen) + bins.n * of_lines
         share[i] = float(response @ model) / total if total > 0 else 1.0
