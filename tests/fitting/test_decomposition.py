@@ -131,7 +131,8 @@ def test_errors_with_many_missing_samples_are_sampled(
     text: str, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Conjugate gradients give the mean; the scatter of 30 draws is 13 % of the standard error."""
-    monkeypatch.setattr(wiener, "_DRAWS", (30, 30))
+    monkeypatch.setattr(wiener, "_MIN_DRAWS", 30)
+    monkeypatch.setattr(wiener, "_MAX_DRAWS", 30)
     for _, part, mean, error in _both(text, kind):
         assert np.abs(part.value - mean).max() < 2e-3 * error.max()
         npt.assert_allclose(part.error, error, rtol=0.45, atol=1e-6)
@@ -310,7 +311,7 @@ def test_the_error_for_an_unknown_part_lists_the_parts() -> None:
 def test_conjugate_gradients_that_do_not_converge_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """The numbers would be wrong."""
     monkeypatch.setattr(wiener, "_STEPS", 3)
-    monkeypatch.setattr(wiener, "_DRAWS", (12, 12))
+    monkeypatch.setattr(wiener, "_MAX_DRAWS", 12)
     keep = np.random.default_rng(53).random(2000) < 0.5
     series = AxisSeries.from_samples(np.arange(2000.0) ** 2, rate_hz=1.0).keeping(keep)
     message = (

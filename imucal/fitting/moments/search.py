@@ -213,7 +213,7 @@ def best_fit(points: AvarPoints, eta3: FloatArray, settings: FitSettings) -> Cur
         start = minimum(points, eta3, settings.structure)
         if full and start.times.size:
             start = minimum(points, whitening(start.covariance(points)), settings.structure)
-        return _converged(points, start, eta3, full=full)
+        return converged(points, start, eta3, full=full)
     price = CRITERIA[settings.criterion](points.n)
     largest = all_terms(points, settings.max_gm)
     weight = eta3
@@ -223,7 +223,7 @@ def best_fit(points: AvarPoints, eta3: FloatArray, settings: FitSettings) -> Cur
     values = {s.symbols: s.objective + price * s.parameters for tried in trail for s in tried}
     fits = []
     for tried in reversed(trail):
-        fits.append(_converged(points, tried[0], weight, full=full))
+        fits.append(converged(points, tried[0], weight, full=full))
         if not fits[-1].misfit >= MISFIT:
             break
     found = fits[0] if fits[-1].misfit >= MISFIT else fits[-1]
@@ -254,7 +254,8 @@ def _smaller(
             return
 
 
-def _converged(points: AvarPoints, found: Solution, weight: FloatArray, *, full: bool) -> CurveFit:
+def converged(points: AvarPoints, found: Solution, weight: FloatArray, *, full: bool) -> CurveFit:
+    """Return the fit of a model from a solution; the `full` weight becomes that of the model itself."""
     for _ in range(_UPDATES if full else 0):
         weight = whitening(found.covariance(points))
         previous, found = found, minimum(points, weight, found.symbols, near=found.times)

@@ -20,7 +20,7 @@ from imucal.fitting.spectral.estimates import Problem, estimate, quantile
 from imucal.fitting.spectral.likelihood import Fits
 from imucal.fitting.spectral.maximum import bounds, maximize
 from imucal.fitting.spectral.models import COLUMN, has_time
-from imucal.fitting.spectral.selection import RankedModels
+from imucal.fitting.spectral.selection import RankedModels, alternatives_among
 from imucal.frozen import frozen_alone
 from imucal.noise.terms import ALWAYS, TERMS, GaussMarkov, in_order, term_keys
 
@@ -277,15 +277,9 @@ def either(estimates: tuple[Estimate, ...], others: tuple[Estimate, ...]) -> tup
 
 
 def _alternatives(choice: RankedModels) -> dict[str, tuple[str, ...]]:
-    """Return for each term its alternatives: every model near the best contains one of the two."""
     fit = 2 * (choice.fits.objective + choice.fits.models.parameters)
-    near = [set(choice.structures[i]) for i in np.flatnonzero(fit - fit.min() <= _INDISTINGUISHABLE)]
-
-    def replaces(one: str, other: str) -> bool:
-        without_one, without_other = ([s for s in near if symbol not in s] for symbol in (one, other))
-        return bool(without_one and without_other) and all(one in s or other in s for s in near)
-
-    return {one: tuple(other for other in TERMS if replaces(one, other)) for one in TERMS}
+    near = np.flatnonzero(fit - fit.min() <= _INDISTINGUISHABLE)
+    return alternatives_among([choice.structures[i] for i in near.tolist()])
 
 
 def _hull(own: Estimate, span: list[tuple[float, Estimate]]) -> Estimate:

@@ -1,5 +1,7 @@
 """Choice among structures by an information criterion, and the models that it can't distinguish."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from imucal.arrays import FloatArray, IntArray
@@ -14,6 +16,7 @@ from imucal.fitting.spectral.models import SHORTEST_GIVEN, Structure, models_of
 from imucal.fitting.spectral.ordinates import Ordinates, coarser
 from imucal.frozen import frozen_alone
 from imucal.noise.model import structure_text
+from imucal.noise.terms import TERMS
 
 #: Distance from the best on coarse bins of models that are fitted on all bins.
 _REFINED_WITHIN = 25.0
@@ -22,7 +25,7 @@ _REFINED_BEHIND = 120.0
 #: Largest number of models fitted on all bins.
 _MAX_REFINED = 16
 #: Models whose criterion is within this of the best are listed.
-_LISTED_WITHIN = 6.0
+LISTED_WITHIN = 6.0
 #: Distance in twice the log-likelihood of an equally good second maximum.
 _AS_GOOD = 4.0
 
@@ -133,8 +136,18 @@ def near_candidates(choice: RankedModels) -> tuple[Candidate, ...]:
     return tuple(
         Candidate(structure=structure_text(structure), delta=float(d))
         for structure, d in zip(choice.structures, delta, strict=True)
-        if d <= _LISTED_WITHIN
+        if d <= LISTED_WITHIN
     )
+
+
+def alternatives_among(near: Sequence[Structure]) -> dict[str, tuple[str, ...]]:
+    """Return for each term its alternatives: every model near the best contains one of the two."""
+
+    def replaces(one: str, other: str) -> bool:
+        without_one, without_other = ([s for s in near if symbol not in s] for symbol in (one, other))
+        return bool(without_one and without_other) and all(one in s or other in s for s in near)
+
+    return {one: tuple(other for other in TERMS if replaces(one, other)) for one in TERMS}
 
 
 def choice_findings(choice: RankedModels, axis: str) -> tuple[Finding, ...]:
