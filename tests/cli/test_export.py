@@ -167,8 +167,9 @@ def test_noise_that_the_fit_leaves_out_is_named_and_the_suggested_factor_include
     done = run("export", "r", "--to", "kalibr", "-o", "-", cwd=tmp_path)
     text = "gyro_y: the log contains more noise than these numbers, because the fit leaves out spikes"
     assert text in done.stdout
-    suggested = re.findall(r"--inflate (white=\S+) includes it", done.stdout + done.stderr)
+    suggested = re.findall(r"inflat\w+ (white=\S+) includes it", done.stdout + done.stderr)
     assert len(suggested) == 2
+    assert suggested[0] == suggested[1]
     done = run("export", "r", "--to", "kalibr", "-o", "-", "--inflate", suggested[0], cwd=tmp_path)
     assert text not in done.stdout
     assert "more noise" not in done.stderr
