@@ -120,7 +120,8 @@ def read_report(report: str | Path) -> Report:
 
     if is_url(report):
         if not is_report(report):
-            raise ReadError(f"{shown(str(report))}: not a report.json; run 'imucal fit' on it first")
+            advice = Fix("run 'imucal fit' on it first")
+            raise ReadError("not a report.json", place=shown(str(report)), fix=advice)
         with local_logs([report]) as reports:
             return load(reports.paths[0])
     path = Path(report)
@@ -128,11 +129,8 @@ def read_report(report: str | Path) -> Report:
         problem = "not a report.json or its folder"
         raise ReadError(problem, place=path, fix=Fix(f"run 'imucal fit {as_typed(path)}' first"))
     if path.exists() and is_calibration(path):
-        msg = (
-            f"a calibration, not a report of noise; to see its values in a file, type "
-            f"'imucal export {as_typed(path)} --to yaml -o -'"
-        )
-        raise ReadError(msg, place=path)
+        advice = Fix(f"to see its values in a file, type 'imucal export {as_typed(path)} --to yaml -o -'")
+        raise ReadError("a calibration, not a report of noise", place=path, fix=advice)
     return load(path)
 
 
