@@ -109,8 +109,7 @@ def command(
             ratios = ", ".join(f"{ratio:.2g} x at {time:g} s" for time, ratio in more.ratios)
             print_note(
                 f"warning: {axis.name} drifts more than this, because the fit leaves out "
-                f"{causes({finding.code for finding in axis.findings})}: the Allan deviation of the log over "
-                f"that of the model is {ratios}"
+                f"{causes(axis.findings)}: the Allan deviation of the log over that of the model is {ratios}"
             )
     if out:
         from imucal.atomic import replacing

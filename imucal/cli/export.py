@@ -33,11 +33,12 @@ from imucal.cli.options import (
 from imucal.cli.param_types import DURATION, Text
 from imucal.errors import DataError
 from imucal.prediction.filter_numbers import STEP_S
+from imucal.prediction.left_out import causes
 from imucal.recording import Sensor
 from imucal.remote.addresses import shown as shown_address
 from imucal.report import exports
 from imucal.report.exports.config_numbers import INFLATABLE, AxisPolicy, Basis
-from imucal.report.exports.target import left_out_causes, name_key
+from imucal.report.exports.target import name_key
 from imucal.report.json_file import load
 from imucal.report.result import Report
 
@@ -289,13 +290,16 @@ def _left_out(report: Report, names: Iterable[str], chosen: exports.ExportOption
     for target in map(exports.find_target, names):
         numbers = target.numbers(report, chosen)
         for axis, more in numbers.left_out(per_axis=target.per_axis):
-            if axis.name not in warned:
-                warned.add(axis.name)
-                remedy = f"; --inflate white={numbers.white_to_include(more)} includes it" * numbers.covers
-                yield (
-                    f"warning: {axis.name}: the log contains more noise than the numbers of {target.name}, "
-                    f"because the fit leaves out {left_out_causes(axis)}{remedy}"
-                )
+            if axis.name in warned:
+                continue
+            warned.add(axis.name)
+            text = (
+                f"warning: {axis.name}: the log contains more noise than the numbers of {target.name}, "
+                f"because the fit leaves out {causes(axis.findings)}"
+            )
+            if numbers.covers:
+                text += f"; --inflate white={numbers.white_to_include(more)} includes it"
+            yield text
 
 
 def _remarks(report: Report, numbers: Basis) -> Iterator[str]:

@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 
 from imucal.arrays import FloatArray
+from imucal.findings import Finding
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.frozen import frozen
 from imucal.noise.term import NoiseTerm
@@ -55,11 +56,14 @@ def left_out(
     fit: NoiseFit,
     white_avar: Callable[[FloatArray], FloatArray],
     slow_avar: Callable[[FloatArray], FloatArray],
+    *,
+    step_s: float = 0.0,
 ) -> LeftOut | None:
     """Return how much larger the measured noise is than a prediction; None if it is not clearly larger.
 
     `white_avar` and `slow_avar` return the two parts of the predicted Allan variance, in U², at times in s.
-    A fit of a model without a measured curve leaves out nothing.
+    Times shorter than `step_s`, between two updates of a filter, do not count. A fit of a model without a
+    measured curve leaves out nothing.
     """
     curve = fit.curve
     if curve.computed == "given" or curve.tau.size < 2:
@@ -67,7 +71,8 @@ def left_out(
     spikes = fit.goodness.spikes**2 / (fit.rate_hz * curve.tau)
     lowest = curve.confidence_interval(fit.level)[0] ** 2 + spikes
     measured = curve.avar + spikes
-    times = np.array([time for time in TIMES_S if curve.tau[0] <= time <= curve.tau[-1]])
+    shortest_s = max(curve.tau[0], step_s)
+    times = np.array([time for time in TIMES_S if shortest_s <= time <= curve.tau[-1]])
     white, slow = white_avar(times), slow_avar(times)
     surely = _between(curve.tau, lowest, times) > _NOTICEABLE**2 * (white + slow)
     if not surely.any():
@@ -93,8 +98,9 @@ def left_out_of_model(fit: NoiseFit, terms: Sequence[NoiseTerm]) -> LeftOut | No
     return left_out(fit, partial(of_terms, white=True), partial(of_terms, white=False))
 
 
-def causes(codes: set[str]) -> str:
-    """Return what the codes of an axis's findings name as left out."""
+def causes(findings: Sequence[Finding]) -> str:
+    """Return what the findings of an axis name as left out."""
+    codes = {finding.code for finding in findings}
     named = dict.fromkeys(name for code, name in _CAUSES.items() if code in codes)
     return " and ".join(named) or "noise that its model does not describe"
 

@@ -1,7 +1,9 @@
 """Tests of the noise that a fit leaves out: its ratio is that of the true error, and clean logs have none."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from typing import TypeAlias
 
 import numpy as np
 import pytest
@@ -13,6 +15,8 @@ from imucal.fitting.noise_fit import NoiseFit
 from imucal.noise.model import NoiseModel
 from imucal.prediction.left_out import LeftOut, causes, left_out, left_out_of_model
 
+#: Returns a number of samples of a disturbance.
+Disturb: TypeAlias = Callable[[int, np.random.Generator], FloatArray]
 RATE_HZ = 100.0
 N = 1e-4
 
@@ -39,10 +43,14 @@ def spikes(count: int, rng: np.random.Generator) -> FloatArray:
 
 
 @cache
-def fit_with(disturb: object) -> NoiseFit:
+def fit_with(disturb: Disturb) -> NoiseFit:
     rng = np.random.default_rng(5701)
-    assert callable(disturb)
     return fitted(white(120_000, rng) + disturb(120_000, rng))
+
+
+def white_of(n: float) -> Callable[[FloatArray], FloatArray]:
+    """Return the Allan variance of white noise N as a function of time."""
+    return lambda t: n**2 / t
 
 
 def beyond(fit: NoiseFit) -> LeftOut:
@@ -52,15 +60,14 @@ def beyond(fit: NoiseFit) -> LeftOut:
 
 
 @pytest.mark.parametrize(("disturb", "name"), [(vibration, "a vibration"), (spikes, "spikes")])
-def test_the_ratio_is_that_of_the_error_of_dead_reckoning(disturb: object, name: str) -> None:
+def test_the_ratio_is_that_of_the_error_of_dead_reckoning(disturb: Disturb, name: str) -> None:
     """The error in 1 s and 10 s over that of the fitted noise, from 20 000 s of new samples.
 
     Of a vibration whose period is the averaging time the Allan deviation is up to a quarter larger.
     """
     fit = fit_with(disturb)
-    assert causes({finding.code for finding in fit.findings}) == name
+    assert causes(fit.findings) == name
     rng = np.random.default_rng(5702)
-    assert callable(disturb)
     angle = np.concatenate([[0.0], np.cumsum(white(2_000_000, rng) + disturb(2_000_000, rng)) / RATE_HZ])
     ratios = dict(beyond(fit).ratios)
     assert 1.0 in ratios
@@ -72,13 +79,13 @@ def test_the_ratio_is_that_of_the_error_of_dead_reckoning(disturb: object, name:
 
 
 def test_the_factor_on_the_white_noise_includes_what_was_left_out() -> None:
-    """With it nothing is left out; with a hundredth less, something still is."""
+    """With it nothing is left out; with a fifth less, something still is."""
     fit = fit_with(spikes)
     factor = beyond(fit).white
     n = fit["N"].value
     assert n is not None
-    assert left_out(fit, lambda t: (factor * n) ** 2 / t, np.zeros_like) is None
-    assert left_out(fit, lambda t: (0.8 * factor * n) ** 2 / t, np.zeros_like) is not None
+    assert left_out(fit, white_of(factor * n), np.zeros_like) is None
+    assert left_out(fit, white_of(0.8 * factor * n), np.zeros_like) is not None
 
 
 @pytest.mark.parametrize("text", ["N=1e-4", "N=1e-4 + B=3e-5", "N=1e-4 + K=5e-6", "Q=3e-6 + N=1e-4"])
@@ -91,7 +98,19 @@ def test_clean_records_leave_out_nothing(text: str) -> None:
         fit = fitted(samples)
         pair = imucal.filter_numbers([fit])
         assert left_out_of_model(fit, fit.model.terms) is None
-        assert left_out(fit, lambda t, white=pair.white: white**2 / t, pair.slow_avar) is None  # type: ignore[misc]
+        assert left_out(fit, white_of(pair.white), pair.slow_avar) is None
+
+
+def test_times_within_a_step_of_the_filter_do_not_count() -> None:
+    """A filter that is aided every 10 s averages a sway of 1 s."""
+    fit = fit_with(vibration)
+    n = fit["N"].value
+    assert n is not None
+    found = left_out(fit, white_of(n), np.zeros_like, step_s=1.0)
+    assert found is not None
+    assert found.ratios[0][0] == 1.0
+    found = left_out(fit, white_of(n), np.zeros_like, step_s=10.0)
+    assert found is None or [time for time, _ in found.ratios] == [10.0]
 
 
 def test_a_model_without_a_measured_curve_leaves_out_nothing() -> None:

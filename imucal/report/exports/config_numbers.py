@@ -291,7 +291,7 @@ class Numbers:
     def _beyond(self, fit: NoiseFit, pair: FilterNumbers | None) -> LeftOut | None:
         if pair is not None:
             white = pair.white
-            return left_out(fit, lambda t: white**2 / t, pair.slow_avar)
+            return left_out(fit, lambda t: white**2 / t, pair.slow_avar, step_s=pair.step_s)
         factor = self.options.factor
         terms = [
             term.of(term.coefficient * factor(term.symbol), *term.values[1:]) for term in fit.model.terms

@@ -353,7 +353,7 @@ def _environment() -> "Environment":
         undefined=StrictUndefined, finalize=_spelled, trim_blocks=True, lstrip_blocks=True
     )
     made.globals |= {"G0": G0, "TERMS": TERMS, "sqrt": math.sqrt, "inf": math.inf}
-    made.globals |= {"INFLATABLE": INFLATABLE, "price": price, "itself": itself, "causes": left_out_causes}
+    made.globals |= {"INFLATABLE": INFLATABLE, "price": price, "itself": itself, "causes": causes}
     made.filters |= {"quoted": quoted, "plain": one_line, "comment": comment, "decimal": decimal}
     made.filters["lines"] = _lines
     made.filters["times"] = lambda values, factor, name: [getattr(value, name) * factor for value in values]
@@ -369,11 +369,6 @@ def _spelled(value: object) -> object:
 def _lines(found: Iterable[Entry], indent: str = "") -> str:
     """Return one line of YAML per key, with unit and origin."""
     return "\n".join(f"{indent}{e.name}: {_spelled(e.value)}  # {e.remark}" for e in found)
-
-
-def left_out_causes(axis: AxisReport) -> str:
-    """Return what the fit of an axis leaves out, for a comment."""
-    return causes({finding.code for finding in axis.findings})
 
 
 def price(pair: FilterNumbers) -> str:

@@ -192,7 +192,7 @@ def _temperature_finding(
 ) -> Finding:
     (one,) = found
     lag_s = one.shape.lag * series.tau0
-    lag = f", with a lag of {lag_s:.3g} s" if lag_s else ""
+    lag = f", with a lag of {_rounded(lag_s, 3)} s" if lag_s else ""
     text = f"The axis follows the temperature ({_amount(one, series, scale)} per degree C{lag})"
     if fitted:
         text += "; the fit removes a linear effect"
@@ -209,7 +209,7 @@ def _warm_up_finding(found: list[Disturbance[WarmUp]], series: AxisSeries, *, fi
     end = "; the fit removes this drift" if fitted else ": a warm-up"
     settled, length = _SETTLED * time, series.duration_s
     keep_s = (round(settled, 1), round(length, 1)) if settled < length / 2 else None
-    text = f"The axis settles exponentially, with a time constant of {time:.3g} s{end}."
+    text = f"The axis settles exponentially, with a time constant of {_rounded(time, 3)} s{end}."
     advice = "Leave out the first part of the record, or let the sensor warm up before recording."
     code = "warm-up-fitted" if fitted else "warm-up"
     return Finding("warning", code, text, advice, axis=series.name, keep_s=keep_s)
@@ -261,7 +261,7 @@ def doubtful_findings(
     findings: list[Finding] = []
     for warm_up in with_shape(doubtful, WarmUp):
         time = warm_up.shape.time_constant * series.tau0
-        shape = f"a warm-up with a time constant of about {time:.2g} s"
+        shape = f"a warm-up with a time constant of about {_rounded(time, 2)} s"
         advice = "Let the sensor warm up, leave out the first part (--skip), or record for longer."
         findings.append(_doubtful("info", "warm-up-doubtful", shape, advice, series))
     for cycle in with_shape(doubtful, Wave):
@@ -280,11 +280,19 @@ def doubtful_findings(
         place = level.shape.place * series.tau0
         within = _WIDE * level.shape.width * series.tau0
         size = _amount(level, series, scale)
-        shape = f"{level.shape.description} of {size} around {place:.3g} s, within about {within:.2g} s"
+        shape = (
+            f"{level.shape.description} of {size} around {_rounded(place, 3)} s, within about "
+            f"{_rounded(within, 2)} s"
+        )
         advice = "Look for heating, air conditioning or a load at that time, and record without it."
         importance: Level = "warning" if level.excess > _LIKELY else "info"
         findings.append(_doubtful(importance, "level-doubtful", shape, advice, series))
     return tuple(findings)
+
+
+def _rounded(seconds: float, digits: int) -> str:
+    """Return a time with some digits and without an exponent."""
+    return f"{float(f'{seconds:.{digits}g}'):g}"
 
 
 def _doubtful(level: Level, code: str, shape: str, advice: str, series: AxisSeries) -> Finding:

@@ -111,8 +111,8 @@ class Disturbance(Generic[_Shape_co]):
     """A shape in the samples that is not noise, such as a temperature, a warm-up, a step or a cycle.
 
     A cycle has two `regressors`, the others one. `size` are the coefficients in scaled units. `price` is the
-    gain that the shape needs in addition to a margin. `excess` is the gain of a rival of a walk
-    beyond the gain that makes both equally likely.
+    gain that the shape needs in addition to a margin. `excess` is the gain of a rival of a random walk beyond
+    the gain that makes both equally likely.
     """
 
     regressors: tuple[_Shape_co, ...]
