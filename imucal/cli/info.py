@@ -2,20 +2,18 @@
 
 from collections.abc import Iterator
 from dataclasses import asdict, replace
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import click
 
 from imucal.cli._fixes import options_for
 from imucal.cli._printing import (
-    BYTES,
     FULL,
     FindingText,
     echo,
     finding_text,
     picked,
     print_json,
-    progress,
     sentence_of,
     width,
     wrapped,
@@ -39,10 +37,12 @@ from imucal.readers import LogContents, TopicContents, describe, logs_of, read
 from imucal.readers.read_options import options_of
 from imucal.readers.tables.text_source import STANDARD_INPUT
 from imucal.recording import Recording
-from imucal.remote import is_url
 from imucal.remote.addresses import shown
 from imucal.screening import screen_units, worst_first
 from imucal.units import TIME_UNITS_NS, data_size, duration
+
+if TYPE_CHECKING:
+    from imucal.readers.remote_logs import LocalLogs
 
 SCHEMA = "imucal/info/1"
 _FINDING = "level code axis text advice"
@@ -51,7 +51,6 @@ Reading: TypeAlias = Recording | str | None
 _JOINED_WHERE = "imucal fit joins them if each continues the one before, or with --join."
 #: Logs up to this size, in bytes, are always read in full, which takes less than a second.
 _SMALL = 1 << 26
-_SMALL_REMOTE = 1 << 20
 #: Largest number of samples of a log that is always read: compression may hide very many.
 _MANY = 4_000_000
 
@@ -83,12 +82,12 @@ def command(*, logs: tuple[str, ...], as_json: bool, gaps: bool | None, reading:
     entries = []
     folders = {named: parts for named in logs if len(parts := logs_of(named)) > 1}
     for log in (log for named in logs for log in folders.get(named, [named])):
-        with progress("downloading", *BYTES, when=is_url(log)) as update:
-            contents = describe(log, options_of(progress=update, **reading))
-        small = contents.size_bytes is not None and _is_small(contents, remote=is_url(log))
-        # Standard input can't be read a second time.
-        wanted = (small if gaps is None else gaps) and log != STANDARD_INPUT
-        found = _read_topics(log, contents, reading) if wanted else {}
+        with lent([log]) as local:
+            contents = local.with_urls(describe(local.paths[0], options_of(**reading)))
+            small = contents.size_bytes is not None and _is_small(contents)
+            # Standard input can't be read a second time.
+            wanted = (small if gaps is None else gaps) and log != STANDARD_INPUT
+            found = _read_topics(local, contents, reading) if wanted else {}
         if as_json:
             entries.append(_log_document(contents, found))
         else:
@@ -100,23 +99,21 @@ def command(*, logs: tuple[str, ...], as_json: bool, gaps: bool | None, reading:
         print_json({"schema": SCHEMA, "logs": entries}, ascii_only=False)
 
 
-def _is_small(contents: LogContents, *, remote: bool) -> bool:
-    most = _SMALL_REMOTE if remote else _SMALL
+def _is_small(contents: LogContents) -> bool:
     samples = sum(topic.count or 0 for topic in contents.imu_topics)
     size = max(contents.size_bytes or 0, contents.unpacked_bytes or 0)
-    return size <= most and samples <= _MANY
+    return size <= _SMALL and samples <= _MANY
 
 
-def _read_topics(log: str, contents: LogContents, reading: dict[str, Any]) -> dict[str, Reading]:
+def _read_topics(local: "LocalLogs", contents: LogContents, reading: dict[str, Any]) -> dict[str, Reading]:
     """Read every topic with IMU samples; a table is read as a whole."""
     found: dict[str, Reading] = {}
-    with lent([log]) as logs:
-        for topic in contents.imu_topics:
-            named = topic.name if len(contents.topics) > 1 else None
-            try:
-                found[topic.name] = logs.named(read(*logs.paths, topic=named, **reading))
-            except ImucalError as error:
-                found[topic.name] = str(logs.with_urls(error))
+    for topic in contents.imu_topics:
+        named = topic.name if len(contents.topics) > 1 else None
+        try:
+            found[topic.name] = local.named(read(*local.paths, topic=named, **reading))
+        except ImucalError as error:
+            found[topic.name] = str(local.with_urls(error))
     return found
 
 
@@ -248,8 +245,6 @@ def _why_not(log: str) -> str:
     """Return why samples were not read, and the option that reads them."""
     if log == STANDARD_INPUT:
         return "on standard input"
-    if is_url(log):
-        return "behind a URL; --gaps downloads the log"
     return "in a large log; --gaps reads all samples"
 
 

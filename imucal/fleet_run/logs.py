@@ -19,9 +19,9 @@ from imucal.readers import FORMATS
 from imucal.readers.compression import crc32
 from imucal.readers.containers.rosbag2_folder import METADATA, natural
 from imucal.remote import RemoteLog, is_url
-from imucal.remote.addresses import has_wildcards, name_of
+from imucal.remote.addresses import has_wildcards, name_of, shown
 from imucal.remote.copies import fetched
-from imucal.remote.stores import expand, identify, store_of
+from imucal.remote.stores import Store, expand, identify
 
 #: In a folder, files with these common endings are used only if they are named.
 _VAGUE = (".txt", ".log", ".dat")
@@ -141,10 +141,10 @@ def edge_at(place: str) -> str:
     for file in identify(place).files if is_url(place) else _files(Path(place)):
         if isinstance(file, Path):
             size, read = file.stat().st_size, functools.partial(_part, file)
-        elif file.size is None or not file.ranges:
-            raise ReadError("its server sends no parts of files")
+        elif file.size is None:
+            raise ReadError("its server does not report its size", place=shown(place))
         else:
-            size, read = file.size, functools.partial(store_of(place).read, file)
+            size, read = file.size, functools.partial(Store(place).read, file)
         machine.update(size.to_bytes(8, "little") + read(0, min(_EDGE, size)))
         machine.update(read(max(size - _EDGE, 0), size))
     return machine.hexdigest()
@@ -163,7 +163,7 @@ def content_at(place: str) -> str:
     forgery, would be slow.
     """
     if is_url(place):
-        with fetched(place) as copy:
+        with fetched(identify(place)) as copy:
             return content_at(str(copy.path))
     machine = hashlib.blake2b(digest_size=16)
     block = memoryview(bytearray(_BLOCK))

@@ -1,30 +1,24 @@
-"""Cache of remote logs: complete copies only, locked during use.
+"""Cache of remote logs: complete copies only; the least recently used copy is removed first.
 
-The least recently used copy is removed first. ``KEY.lock`` is the lock for reading (shared) or changing
-(exclusive) a copy, and its time is the last use. ``KEY.part/`` is an unfinished copy.
+``KEY/`` is a complete copy, and its time is the last use. ``KEY.….part/`` belongs to one process: a
+download, or hard links to a copy. Readers use only such links, so a copy can be removed at any time.
 """
 
 import os
+import re
 import shutil
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
-from typing import IO, TypeAlias
+from typing import TypeAlias
 from uuid import uuid4
 
-from imucal.errors import ReadError
+from imucal.errors import Fix, ReadError
 from imucal.frozen import frozen
-from imucal.locks import locked
-from imucal.remote.addresses import (
-    Attempts,
-    ChangedError,
-    PassingError,
-    RemoteFile,
-    RemoteLog,
-    name_of,
-    refused,
-)
-from imucal.remote.stores import identify, store_of
+from imucal.remote.addresses import RemoteLog, name_of, refused
+from imucal.remote.stores import ChangedError, Store
 from imucal.resources import size_setting
 
 #: Environment variables of the cache: its folder, and its size in bytes.
@@ -34,118 +28,15 @@ SIZE = "IMUCAL_CACHE_SIZE"
 _DEFAULT_SIZE = 10 << 30
 #: Bytes left free.
 _MARGIN = 1 << 24
-
-
-class Entry:
-    """The paths of a log in the cache."""
-
-    def __init__(self, root: Path, key: str) -> None:
-        self.root = root
-        self.lock, self.whole, self.part = root / f"{key}.lock", root / key, root / f"{key}.part"
-
-    def path(self, log: RemoteLog) -> Path:
-        return self.whole / log.name
-
-    def files(self, log: RemoteLog, within: Path) -> list[Path]:
-        if not log.folder:
-            return [within / log.name]
-        return [within / log.name / name_of(file.url) for file in log.files]
-
-    def is_whole(self, log: RemoteLog) -> bool:
-        try:
-            sizes = [path.stat().st_size for path in self.files(log, self.whole)]
-        except OSError:
-            return False
-        return all(file.size in {None, size} for file, size in zip(log.files, sizes, strict=True))
-
-    def remove(self) -> bool:
-        try:
-            with locked(self.lock, wait=False) as had:
-                if not had:
-                    return False
-                # A partly removed copy must never be used.
-                with suppress(FileNotFoundError):
-                    shutil.rmtree(self.part)
-                with suppress(FileNotFoundError):
-                    self.whole.replace(self.part)
-                    shutil.rmtree(self.part)
-                self.lock.unlink(missing_ok=True)
-        except OSError:
-            return False
-        return not self.whole.exists()
-
-    def size(self) -> int:
-        return sum(_size(path) for folder in (self.whole, self.part) for path in folder.rglob("*"))
-
-
-def _size(path: Path) -> int:
-    try:
-        return path.stat().st_size if path.is_file() else 0
-    except OSError:
-        return 0
-
-
-def cache_folder() -> Path:
-    """Return ``IMUCAL_CACHE``, or the user's cache folder; raises ReadError."""
-    asked = os.environ.get(FOLDER, "").strip()
-    base = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
-    root = Path(asked) if asked else (Path(base) if base else Path.home() / ".cache") / "imucal"
-    try:
-        root.mkdir(parents=True, exist_ok=True, mode=0o700)
-        if not os.access(root, os.W_OK):
-            raise PermissionError(13, os.strerror(13))
-    except OSError as error:
-        why = error.strerror or error
-        text = f"the cache of remote logs can't be used: {why}; set {FOLDER} to a folder that you own"
-        raise ReadError(text, place=root) from error
-    return root.resolve()
-
-
-def cache_size() -> int:
-    """Return ``IMUCAL_CACHE_SIZE`` in bytes, or 10 GB; 0 keeps no copies. Raises SettingError."""
-    size = size_setting(SIZE, least=0)
-    return _DEFAULT_SIZE if size is None else size
-
-
-def entry_of(log: RemoteLog) -> Entry:
-    """Return the cache entry of a log."""
-    return Entry(cache_folder(), log.key)
-
-
-def make_room(root: Path, wanted: int, *, most: int) -> None:
-    """Remove unused copies until the cache takes at most `most` bytes and `wanted` bytes are free.
-
-    Raises ReadError if fewer are free at the end.
-    """
-    used: list[tuple[float, str]] = []
-    for path in root.glob("*.lock"):
-        with suppress(OSError):
-            used.append((path.stat().st_mtime, path.stem))
-    entries = [Entry(root, key) for _, key in sorted(used)]
-    sizes = [entry.size() for entry in entries]
-    total = sum(sizes)
-    for entry, size in zip(entries, sizes, strict=True):
-        crowded = size > 0 and (total > most or _lacks(root, wanted))
-        if (crowded or not size) and entry.remove():
-            total -= size
-    if _lacks(root, wanted):
-        free = shutil.disk_usage(root).free
-        text = (
-            f"no space for a remote log of {wanted / 1e9:.3g} GB: {free / 1e9:.3g} GB are free; "
-            f"free some space, or set {FOLDER} to a folder on another disk"
-        )
-        raise ReadError(text, place=root)
-
-
-def _lacks(root: Path, wanted: int) -> bool:
-    return wanted > 0 and shutil.disk_usage(root).free < wanted + _MARGIN
-
+#: Other folders in the cache do not belong to imucal and are never removed.
+_COPY = re.compile(r"[0-9a-f]{32}")
+_PART = re.compile(r"[0-9a-f]{32}\.[0-9a-f]{32}\.part")
+#: Age in s from which a part belongs to a process that was killed.
+_ABANDONED_S = 86_400.0
+_OTHER_DISK = f"free some space, or set {FOLDER} to a folder on another disk"
 
 #: Called with the bytes done and the total (0 if unknown).
 Progress: TypeAlias = Callable[[int, int], None]
-
-#: Most changes of an object during reading; with more it is still being written.
-_MAX_CHANGES = 3
 
 
 @frozen
@@ -158,119 +49,167 @@ class LocalCopy:
     files: tuple[Path, ...]
 
 
-@contextmanager
-def fetched(
-    log: RemoteLog | str, *, progress: Progress | None = None, exact: bool = True
-) -> Iterator[LocalCopy]:
-    """Yield a copy of a remote log, from the cache or downloaded; it is not removed during use.
-
-    It stays in the cache unless `RemoteLog.keep` is false or the ETag is empty. With `exact`, a changed
-    object is refused, because results would be stored under the wrong key. Raises ReadError if the log is
-    missing, can't be fetched or has changed, or if the disk is full.
-    """
-    asked = identify(log) if isinstance(log, str) else log
-    for _ in range(_MAX_CHANGES):
-        entry = Entry(cache_folder(), asked.key if asked.etag else f"{asked.key}-{uuid4().hex}")
-        try:
-            with _made(asked, entry, progress) as copy:
-                yield copy
-        except ChangedError:
-            if exact and not isinstance(log, str):
-                raise refused(
-                    asked.shown, "it has changed since the first look; run the command again"
-                ) from None
-            asked = identify(asked.url, keep=asked.keep)
-        else:
-            return
-        finally:
-            if asked.keep and asked.etag and entry.whole.exists():
-                make_room(entry.root, 0, most=cache_size())
-            else:
-                entry.remove()
-    raise refused(asked.shown, "it changed during reading; wait until it is complete")
-
-
-@contextmanager
-def _made(log: RemoteLog, entry: Entry, progress: Progress | None) -> Iterator[LocalCopy]:
-    while True:
-        with locked(entry.lock, shared=True):
-            if entry.is_whole(log):
-                with suppress(OSError):
-                    os.utime(entry.lock)
-                files = tuple(entry.files(log, entry.whole))
-                yield LocalCopy(log=log, path=entry.path(log), files=files)
-                return
-        with locked(entry.lock):
-            # Another process may have made the copy meanwhile.
-            if not entry.is_whole(log):
-                _make(log, entry, progress)
-
-
-def _make(log: RemoteLog, entry: Entry, progress: Progress | None) -> None:
-    size, most = log.size or 0, cache_size()
-    make_room(entry.root, size, most=most - size if size <= most else most)
-    done = 0
-
-    # Without a cache, a copy is kept during its use.
-    limit = most or _DEFAULT_SIZE
-
-    def count_bytes(count: int) -> None:
-        nonlocal done
-        done += count
-        if log.size is None and done > limit:
-            advice = f"its server does not report its size; download it, or set {SIZE} to more"
-            raise refused(log.shown, f"it is larger than the cache, {limit / 1e9:.3g} GB; {advice}")
-        if progress:
-            progress(done, size)
-
+def cache_folder() -> Path:
+    """Return ``IMUCAL_CACHE``, or the user's cache folder; raises ReadError."""
+    asked = os.environ.get(FOLDER, "").strip()
+    base = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
+    root = Path(asked) if asked else (Path(base) if base else Path.home() / ".cache") / "imucal"
     try:
-        for folder in (entry.part, entry.whole):
-            if folder.exists():
-                # Left by a killed process, or modified.
-                shutil.rmtree(folder)
-        for file, path in zip(log.files, entry.files(log, entry.part), strict=True):
+        root.mkdir(parents=True, exist_ok=True, mode=0o700)
+        if not os.access(root, os.W_OK):
+            raise PermissionError(13, os.strerror(13))
+    except OSError as error:
+        problem = f"the cache of remote logs can't be used: {error.strerror or error}"
+        advice = Fix(f"set {FOLDER} to a folder that you own")
+        raise ReadError(problem, place=root, fix=advice) from error
+    return root.resolve()
+
+
+def cache_size() -> int:
+    """Return ``IMUCAL_CACHE_SIZE`` in bytes, or 10 GB; 0 keeps no copies. Raises SettingError."""
+    size = size_setting(SIZE, least=0)
+    return _DEFAULT_SIZE if size is None else size
+
+
+@contextmanager
+def fetched(log: RemoteLog, *, progress: Progress | None = None) -> Iterator[LocalCopy]:
+    """Yield a copy of a remote log, from the cache or downloaded.
+
+    It stays in the cache unless `RemoteLog.keep` is false, the ETag is empty, or it is larger than the cache.
+    Raises ReadError if the log can't be fetched or has changed, or if the disk is full.
+    """
+    root = cache_folder()
+    copy, own = root / log.key, _part_of(root, log.key)
+    files = _files(log, own)
+    try:
+        if log.etag and _linked(copy, own) and _is_whole(log, files):
+            with suppress(OSError):
+                os.utime(copy)
+        else:
+            _remove(own)
+            make_room(root, log.size or 0, most=cache_size())
+            _download(log, files, progress)
+            if log.keep and log.etag and (log.size or 0) <= cache_size():
+                _publish(own, copy)
+                make_room(root, 0, most=cache_size())
+        yield LocalCopy(log=log, path=own / log.name, files=tuple(files))
+    finally:
+        shutil.rmtree(own, ignore_errors=True)
+
+
+def _download(log: RemoteLog, files: list[Path], progress: Progress | None) -> None:
+    before = 0
+    try:
+        for file, path in zip(log.files, files, strict=True):
             path.parent.mkdir(parents=True, exist_ok=True)
             with path.open("xb") as out:
-                _download(file, out, count_bytes)
+                Store(file.url).download(file, out, partial(_count, log, progress, before))
+                before += out.tell()
                 out.flush()
                 os.fsync(out.fileno())
-        entry.part.replace(entry.whole)
+    except ChangedError as error:
+        advice = "wait until it is complete, and run the command again"
+        raise refused(log.url, "it changed during the download", advice) from error
     except OSError as error:
-        text = (
-            f"can't write a copy to {entry.root}: {error.strerror or error}; free some space, "
-            f"or set {FOLDER} to a folder on another disk"
-        )
-        raise ReadError(text, place=log.shown) from error
-    finally:
-        shutil.rmtree(entry.part, ignore_errors=True)
+        raise refused(log.url, f"can't write a copy: {error.strerror or error}", _OTHER_DISK) from error
 
 
-def _download(file: RemoteFile, out: IO[bytes], count_bytes: Callable[[int], None]) -> None:
-    """Write an object to an open file; resume after a broken connection.
+def _count(log: RemoteLog, progress: Progress | None, before: int, done: int) -> None:
+    """Report the bytes of a download; raises ReadError if a log of unknown size does not fit in the cache."""
+    # Without a cache, a copy is kept during its use.
+    limit = cache_size() or _DEFAULT_SIZE
+    if log.size is None and before + done > limit:
+        problem = f"it is larger than the cache, {limit / 1e9:.3g} GB; its server does not report its size"
+        raise refused(log.url, problem, f"download it, or set {SIZE} to more")
+    if progress:
+        progress(before + done, log.size or 0)
 
-    Repeated bytes do not count as progress: a server without parts could end early forever.
+
+def _part_of(root: Path, key: str) -> Path:
+    return root / f"{key}.{uuid4().hex}.part"
+
+
+def _files(log: RemoteLog, folder: Path) -> list[Path]:
+    """Return the paths of a log's files in a folder of the cache."""
+    if not log.folder:
+        return [folder / log.name]
+    return [folder / log.name / name_of(file.url) for file in log.files]
+
+
+def _is_whole(log: RemoteLog, files: list[Path]) -> bool:
+    try:
+        sizes = [path.stat().st_size for path in files]
+    except OSError:
+        return False
+    return all(file.size in {None, size} for file, size in zip(log.files, sizes, strict=True))
+
+
+def _linked(source: Path, target: Path) -> bool:
+    """Make hard links to all files of a folder; return whether that was possible."""
+    try:
+        shutil.copytree(source, target, copy_function=os.link)
+        # The copied time of the folder would make it look abandoned.
+        os.utime(target)
+    except OSError:
+        return False
+    return True
+
+
+def _publish(own: Path, copy: Path) -> None:
+    """Add a complete copy to the cache; another process may do the same at the same time."""
+    new = _part_of(copy.parent, copy.name)
+    if _linked(own, new):
+        _remove(copy)
+        with suppress(OSError):
+            new.rename(copy)
+    shutil.rmtree(new, ignore_errors=True)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder; it gets another name first, because a partly removed copy must not be used."""
+    gone = _part_of(folder.parent, folder.name.partition(".")[0])
+    with suppress(OSError):
+        folder.rename(gone)
+        shutil.rmtree(gone)
+
+
+def make_room(root: Path, wanted: int, *, most: int) -> None:
+    """Remove copies until the cache takes at most `most` bytes and `wanted` bytes are free.
+
+    Raises ReadError if fewer are free at the end.
     """
-    store = store_of(file.url)
-    attempts = Attempts(file.url)
-    done = farthest = 0
-    while True:
-        try:
-            for block in store.blocks(file, done):
-                out.write(block)
-                done += len(block)
-                count_bytes(len(block))
-                if file.size is not None and done > file.size:
-                    raise ChangedError
-                if done > farthest:
-                    farthest = done
-                    attempts.reset()
-            if file.size is None or done == file.size:
-                return
-            attempts.wait(PassingError(f"the connection ended after {done} of {file.size} bytes"))
-        except PassingError as error:
-            attempts.wait(error)
-        if not file.ranges:
-            out.seek(0)
-            out.truncate()
-            count_bytes(-done)
-            done = 0
+    last_use: dict[Path, float] = {}
+    for folder in root.iterdir():
+        with suppress(OSError):
+            if _COPY.fullmatch(folder.name):
+                last_use[folder] = folder.stat().st_mtime
+            elif _PART.fullmatch(folder.name) and _is_abandoned(folder):
+                _remove(folder)
+    copies = sorted(last_use, key=last_use.__getitem__)
+    sizes = [sum(map(_size, folder.rglob("*"))) for folder in copies]
+    total = sum(sizes)
+    for folder, size in zip(copies, sizes, strict=True):
+        if total > most or _lacks(root, wanted):
+            _remove(folder)
+            total -= size
+    if _lacks(root, wanted):
+        free = shutil.disk_usage(root).free / 1e9
+        problem = f"no space for a remote log of {wanted / 1e9:.3g} GB: {free:.3g} GB are free"
+        raise ReadError(problem, place=root, fix=Fix(_OTHER_DISK))
+
+
+def _is_abandoned(folder: Path) -> bool:
+    """Return whether nothing was written in a folder, or used from it, for a day."""
+    newest = max(path.stat().st_mtime for path in (folder, *folder.rglob("*")))
+    return newest < time.time() - _ABANDONED_S
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size if path.is_file() else 0
+    except OSError:
+        return 0
+
+
+def _lacks(root: Path, wanted: int) -> bool:
+    return wanted > 0 and shutil.disk_usage(root).free < wanted + _MARGIN

@@ -1,340 +1,276 @@
-"""Stores of logs: read objects, and list the logs of a URL.
+"""Stores of logs, by fsspec: web servers, S3, Google Cloud Storage and Azure."""
 
-Web files are identified by a GET of the first bytes, because addresses signed for GET refuse HEAD. Object
-stores (S3, Google Cloud Storage, Azure) use fsspec with s3fs, gcsfs and adlfs.
-"""
-
-import contextlib
-import http.client
 import importlib.util
 import logging
-import netrc
-import re
-import shlex
-from base64 import b64encode
-from collections.abc import Callable, Iterator
+import os
+import time
+from collections.abc import Callable
 from contextlib import suppress
-from email.message import Message
 from fnmatch import fnmatchcase
+from functools import partial
 from html import unescape
-from typing import IO, Any, TypeAlias
-from urllib.error import HTTPError
-from urllib.parse import SplitResult, quote, unquote, urljoin, urlsplit, urlunsplit
-from urllib.request import HTTPRedirectHandler, Request, build_opener
+from typing import IO, Any, TypeVar
+from urllib.parse import quote, unquote, urlunsplit
 
 from imucal._version import __version__
-from imucal.errors import ReadError
+from imucal.errors import ArgumentError, ReadError, SettingError
 from imucal.remote.addresses import (
-    OBJECT_STORES,
+    PACKAGES,
     WEB,
-    ChangedError,
-    PassingError,
     RemoteFile,
     RemoteLog,
-    Result,
-    explained,
-    forbidden,
     has_wildcards,
     is_folder_name,
-    missing,
     name_of,
     refused,
-    retried,
     scheme_of,
-    shown,
-    timeout,
+    split_web,
 )
+from imucal.remote.failures import PassingError, explained
+from imucal.user_input import seconds_of
 
+Result = TypeVar("Result")
 
-def store_of(url: str) -> "Store":
-    """Return the store of a URL; raises ReadError."""
-    scheme = scheme_of(url)
-    if scheme in WEB:
-        return HttpStore()
-    if scheme not in OBJECT_STORES:
-        hint = "; omit file://" if scheme == "file" else ""
-        text = f"{scheme}:// is not supported; expected s3://, gs://, az://, abfs://, https:// or http://"
-        raise refused(url, text + hint)
-    return ObjectStore(url)
-
-
-#: HTTP codes of temporary failures.
-_PASSING = frozenset({408, 425, 429, 500, 502, 503, 504})
-#: Bytes fetched to identify an object, enough to recognise a web page.
-_HEAD = 512
+TIMEOUT = "IMUCAL_REMOTE_TIMEOUT"
+#: Default timeout in s.
+_DEFAULT_TIMEOUT_S = 30.0
+#: Seconds before each further attempt of a request.
+WAITS = (0.5, 1.0, 2.0)
+#: The libraries of the other stores retry.
+_RETRIED_HERE = WEB | {"s3", "s3a"}
+#: Bytes per request of a download. Smaller parts cost time, larger ones are lost with a broken connection.
+PART = 1 << 24
+#: Bytes per read of an answer that can't be requested in parts.
 _BLOCK = 1 << 20
-#: Largest listing of a folder, in bytes.
-_PAGE = 1 << 24
+#: Package -> extra of imucal that contains it.
+EXTRAS = {"aiohttp": "remote", "s3fs": "s3", "gcsfs": "gcs", "adlfs": "azure"}
 _PAGE_STARTS = (b"<!doctype html", b"<html")
-_RANGE = re.compile(r"bytes (?:\d+-\d+|\*)/(\d+)")
 
 
-class HttpStore:
-    """Files of web servers; methods raise ReadError, as in `ObjectStore`."""
-
-    def look_at(self, url: str) -> RemoteFile | None:
-        """Return None for a folder."""
-        if is_folder_name(url):
-            return None
-
-        def looked_at() -> RemoteFile:
-            with _open(url, f"bytes=0-{_HEAD - 1}", empty=True) as (status, headers, body):
-                if body.read(_HEAD).lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith(_PAGE_STARTS):
-                    # No log begins like a web page.
-                    kind = headers.get_content_type()
-                    expected = "expected the address of the file itself, signed if necessary"
-                    why = f"the answer is a web page ({kind}), perhaps for login, not a log; {expected}"
-                    raise refused(url, why)
-            match = _RANGE.match(headers.get("Content-Range", ""))
-            length = headers.get("Content-Length", "")
-            size = int(match[1]) if match else int(length) if length.isdigit() and status == 200 else None
-            return RemoteFile(
-                url=url, etag=_tag(headers), size=size, ranges=status != 200 and match is not None
-            )
-
-        return retried(url, looked_at)
-
-    def read(self, file: RemoteFile, start: int, stop: int) -> bytes:
-        """Return bytes of an object; raises ChangedError if it has changed."""
-
-        def part() -> bytes:
-            data = b"".join(self.blocks(file, start, stop))
-            if len(data) != stop - start:
-                raise PassingError("the connection ended early")
-            return data
-
-        return retried(file.url, part)
-
-    def blocks(self, file: RemoteFile, start: int, stop: int | None = None) -> Iterator[bytes]:
-        """Yield the bytes of an object in blocks; raises PassingError or ChangedError."""
-        part = f"bytes={start}-{'' if stop is None else stop - 1}" if start or stop else None
-        with _open(file.url, part) as (status, headers, body):
-            if (part and status != 206) or _tag(headers) != file.etag:
-                raise ChangedError
-            while block := body.read(_BLOCK):
-                yield block
-
-    def files_in(self, url: str) -> list[str]:
-        folder = url if is_folder_name(url) else f"{shown(url)}/"
-        return [link for link in _links(folder) if not link.endswith("/")]
-
-    def matches(self, url: str) -> list[str]:
-        parts = urlsplit(url)
-        path, _, pattern = parts.path.rpartition("/")
-        if "*" in path:
-            raise refused(url, "a web address may have * in its last part only, such as …/logs/*.mcap")
-        folder = urlunsplit((parts.scheme, parts.netloc, f"{path}/", parts.query, ""))
-        names = {link: unquote(urlsplit(link).path.rpartition("/")[2]) for link in _links(folder)}
-        return [link for link, name in names.items() if fnmatchcase(name, unquote(pattern))]
-
-
-class _WebRedirects(HTTPRedirectHandler):
-    """Follows redirects only to http and https; `urllib` also allows ftp."""
-
-    def http_error_302(self, req: Request, fp: Any, code: int, msg: str, headers: Any) -> Any:  # noqa: ANN401
-        target = scheme_of(urljoin(req.full_url, headers.get("Location", "")))
-        if target not in WEB:
-            fp.close()
-            raise _bad_redirect(
-                req.full_url, f"to {target}://" if target else "to an address outside the web"
-            )
-        return super().http_error_302(req, fp, code, msg, headers)
-
-    http_error_301 = http_error_303 = http_error_307 = http_error_308 = http_error_302
-
-
-def _bad_redirect(url: str, where: str) -> ReadError:
-    return refused(url, f"the server redirects {where}; expected a file behind https:// or http://")
-
-
-@contextlib.contextmanager
-def _open(
-    url: str, part: str | None = None, *, empty: bool = False
-) -> Iterator[tuple[int, Message, IO[bytes]]]:
-    """Yield status, headers and body; `empty` allows a file without bytes."""
+def timeout() -> float:
+    """Return the timeout in s from ``IMUCAL_REMOTE_TIMEOUT``; raises SettingError if it is invalid."""
+    text = os.environ.get(TIMEOUT, "").strip()
+    if not text:
+        return _DEFAULT_TIMEOUT_S
     try:
-        with build_opener(_WebRedirects).open(_request(url, part), timeout=timeout()) as response:
-            yield response.status, response.headers, response
-    except HTTPError as error:
-        with error:
-            if error.code == 416 and empty:
-                yield error.code, error.headers, error
-                return
-            raise _refusal(url, error.code) from error
-    except (OSError, http.client.HTTPException, ValueError) as error:
-        raise explained(error, url) from error
+        seconds = seconds_of(text)
+    except ArgumentError:
+        seconds = 0.0
+    if not 0 < seconds < 1e6:
+        raise SettingError(f"{TIMEOUT}: found {text!r}, expected seconds such as 60; set some, or unset it")
+    return seconds
 
 
-def _refusal(url: str, code: int) -> Exception:
-    if code in _PASSING:
-        return PassingError(f"the server answers {code} ({http.client.responses[code]})")
-    if code in {404, 410}:
-        return missing(url)
-    if code in {401, 403, 407}:
-        return forbidden(url, code)
-    if code == 416:
-        return ChangedError()
-    if code in {301, 302, 303, 307, 308}:
-        return _bad_redirect(url, "without end")
-    what = http.client.responses.get(code, "unknown code")
-    return refused(url, f"the server answers {code} ({what}); expected the file")
+class ChangedError(Exception):
+    """The object has changed since it was identified."""
 
 
-def _request(url: str, part: str | None) -> Request:
-    """Return a request; credentials from the URL or ~/.netrc are sent only to this host."""
-    parts = urlsplit(url)
-    user, _, host = parts.netloc.rpartition("@")
-    # Keep quoted characters.
-    path = quote(parts.path, safe="/%:@!$&'()*+,;=~-._")
-    request = Request(urlunsplit((parts.scheme.lower(), host, path, parts.query, "")))  # noqa: S310
-    request.add_header("User-Agent", f"imucal/{__version__}")
-    request.add_header("Accept-Encoding", "identity")
-    if part:
-        request.add_header("Range", part)
-    login = ":".join(map(unquote, user.split(":", 1))) if user else _from_netrc(parts.hostname or "")
-    if login:
-        request.add_unredirected_header("Authorization", f"Basic {b64encode(login.encode()).decode()}")
-    return request
+class _WholeOnlyError(Exception):
+    """The server does not send parts of files."""
 
 
-def _from_netrc(host: str) -> str:
-    try:
-        found = netrc.netrc().authenticators(host)
-    except (OSError, netrc.NetrcParseError, RuntimeError):
-        return ""
-    return f"{found[0]}:{found[2]}" if found else ""
-
-
-def _tag(headers: Message) -> str:
-    return headers.get("ETag") or headers.get("Last-Modified") or ""
-
-
-def _links(folder: str) -> list[str]:
-    """Return the links in a folder's listing that point into it on the same server, sorted by name.
-
-    A listing must not make imucal ask other servers, which would get this user's passwords for them.
-    """
-
-    def page() -> bytes:
-        with _open(folder) as (_, _, body):
-            return body.read(_PAGE)
-
-    text = retried(folder, page).decode("utf-8", "replace")
-    listed = urlsplit(folder)
-    found = set()
-    for link in re.findall(r"""href\s*=\s*["']([^"']+)["']""", text, re.IGNORECASE):
-        try:
-            target = urlsplit(urljoin(folder, unescape(link)))
-            same_server = _server(target) == _server(listed)
-        except ValueError:
-            # The address of the link is invalid.
-            continue
-        inside = target.path.removeprefix(listed.path)
-        in_folder = target.path.startswith(listed.path) and inside and "/" not in inside.rstrip("/")
-        if same_server and in_folder:
-            # The name and password of the folder, never those in a link.
-            found.add(urlunsplit(target._replace(netloc=listed.netloc)))
-    return sorted(found)
-
-
-def _server(parts: SplitResult) -> tuple[str, str | None, int | None]:
-    """Return scheme, host and port; raises ValueError for an invalid port."""
-    ports = {"http": 80, "https": 443}
-    return parts.scheme, parts.hostname, parts.port or ports.get(parts.scheme)
-
-
-#: Bytes per request of a download.
-_PART = 1 << 24
-
-
-class ObjectStore:
-    """Objects in one kind of store."""
+class Store:
+    """The file system of a URL. Methods raise ReadError."""
 
     def __init__(self, url: str) -> None:
         self._scheme = scheme_of(url)
-        protocol, package, extra = OBJECT_STORES[self._scheme]
-        if any(importlib.util.find_spec(name) is None for name in ("fsspec", package)):
-            typed = shlex.quote(f"imucal-noise[{extra}]")
-            raise refused(url, f"{self._scheme}:// needs the package {package}; type: pip install {typed}")
-        self._url = url
-        self._files = self._asked(url, lambda: _file_system(protocol))
+        if self._scheme not in PACKAGES:
+            hint = "; omit file://" if self._scheme == "file" else ""
+            problem = f"{self._scheme}:// is not supported"
+            expected = "expected s3://, gs://, az://, abfs://, https:// or http://"
+            raise refused(url, f"{problem}; {expected}{hint}")
+        for package in ("fsspec", PACKAGES[self._scheme]):
+            if importlib.util.find_spec(package) is None:
+                extra = EXTRAS[PACKAGES[self._scheme]]
+                raise refused(url, "needs another package", f"type: pip install 'imucal-noise[{extra}]'")
+        self._web = self._scheme in WEB
+        self._files = self._asked(url, lambda: _file_system(self._scheme))
 
     def look_at(self, url: str) -> RemoteFile | None:
+        """Return an object without reading it; None for a folder."""
+        if self._web and is_folder_name(url):
+            return None
         info = self._asked(url, lambda: self._files.info(self._key(url)))
         if info.get("type") == "directory":
             return None
-        if info.get("size") is None:
+        size = info.get("size")
+        if self._web:
+            # Some servers answer a question about any file with a length of zero.
+            size = size or None
+        elif size is None:
             raise refused(url, "its store does not report its size; expected an object of known size")
-        return RemoteFile(url=url, etag=_entity_tag(info), size=int(info["size"]))
+        return RemoteFile(url=url, etag=_entity_tag(info), size=size)
 
     def read(self, file: RemoteFile, start: int, stop: int) -> bytes:
-        return self._asked(file.url, lambda: self._part(file, start, stop))
+        """Return some bytes of an object of known size."""
+        try:
+            return self._asked(file.url, lambda: self._part(file, start, stop))
+        except _WholeOnlyError as error:
+            raise refused(file.url, "its server sends no parts of files") from error
 
-    def blocks(self, file: RemoteFile, start: int) -> Iterator[bytes]:
-        size = file.size or 0
-        for at in range(start, size, _PART):
-            try:
-                yield self._part(file, at, min(at + _PART, size))
-            except Exception as error:
-                raise explained(error, file.url) from error
+    def download(self, file: RemoteFile, out: IO[bytes], count: Callable[[int], None]) -> None:
+        """Write an object to an open file; a part that fails is requested again.
+
+        `count` is called with the number of bytes written. Raises ChangedError if the object has changed.
+        """
+        size, whole = file.size or 0, file.size is None
+        try:
+            for start in range(0, size, PART):
+                stop = min(start + PART, size)
+                data = self._asked(file.url, partial(self._part, file, start, stop))
+                if start == 0:
+                    self._require_no_page(file, data)
+                out.write(data)
+                count(stop)
+        except _WholeOnlyError:
+            whole = True
+        if whole:
+            self._asked(file.url, lambda: self._stream(file, out, count))
         # Parts may belong to two objects.
-        now = self.look_at(file.url)
-        if now is None or (now.etag, now.size) != (file.etag, file.size):
+        if self.look_at(file.url) != file:
             raise ChangedError
 
     def files_in(self, url: str) -> list[str]:
-        listed = self._asked(url, lambda: self._files.ls(self._key(url), detail=True))
-        return sorted(self._name(entry["name"]) for entry in listed if entry.get("type") == "file")
+        """Return the URLs of the files of a folder, sorted."""
+        if not self._web:
+            listed = self._asked(url, lambda: self._files.ls(self._key(url), detail=True))
+            return sorted(self._url(entry["name"]) for entry in listed if entry.get("type") == "file")
+        return self._links(url, url.partition("?")[0].rstrip("/") + "/")
 
     def matches(self, url: str) -> list[str]:
-        found = self._asked(url, lambda: self._files.glob(self._key(url)))
-        return sorted(map(self._name, found))
+        """Return the URLs that match wildcards, sorted; in a web address only in its last part."""
+        if not self._web:
+            return sorted(map(self._url, self._asked(url, lambda: self._files.glob(self._key(url)))))
+        folder, _, pattern = url.partition("?")[0].rpartition("/")
+        if "*" in folder:
+            raise refused(url, "a web address may have * in its last part only, such as …/logs/*.mcap")
+        names = {
+            link: unquote(split_web(link).path.rpartition("/")[2]) for link in self._links(url, f"{folder}/")
+        }
+        return [link for link, name in names.items() if fnmatchcase(name, unquote(pattern))]
+
+    def _links(self, url: str, folder: str) -> list[str]:
+        """Return the links to files directly in a folder of a web server, sorted."""
+        if split_web(url).query:
+            raise refused(url, "a folder or * with a query; expected the address of a log, or no query")
+        key = self._key(folder)
+        found = map(unescape, self._asked(url, lambda: self._files.ls(key, detail=False)))
+        # A link must not make imucal ask another server, which would get this user's password.
+        names = {link: link.partition("?")[0].removeprefix(key) for link in found if link.startswith(key)}
+        return sorted(link for link, name in names.items() if name and "/" not in name)
 
     def _part(self, file: RemoteFile, start: int, stop: int) -> bytes:
-        data: bytes = self._files.cat_file(self._key(file.url), start=start, end=stop)
-        if len(data) > stop - start or (len(data) < stop - start and stop <= (file.size or 0)):
+        key = self._key(file.url)
+        if self._web:
+            # A server without ranges answers with the whole file, of which cat_file would read all.
+            with self._files.open(key, size=file.size, block_size=PART, cache_type="none") as source:
+                source.seek(start)
+                try:
+                    data: bytes = source.read(stop - start)
+                except ValueError as error:
+                    raise _WholeOnlyError from error
+        else:
+            data = self._files.cat_file(key, start=start, end=stop)
+        if len(data) != stop - start:
             raise ChangedError
         return data
 
-    def _key(self, url: str) -> str:
-        return url.partition("://")[2].rstrip("/")
+    def _stream(self, file: RemoteFile, out: IO[bytes], count: Callable[[int], None]) -> None:
+        """Write an object that can't be requested in parts."""
+        out.seek(0)
+        out.truncate()
+        done = 0
+        with self._files.open(self._key(file.url), size=file.size, block_size=0) as source:
+            while block := source.read(_BLOCK):
+                if done == 0:
+                    self._require_no_page(file, block)
+                out.write(block)
+                done += len(block)
+                count(done)
+        if done == 0:
+            raise empty(file.url)
+        if file.size not in {None, done}:
+            raise ChangedError
 
-    def _name(self, key: str) -> str:
+    def _require_no_page(self, file: RemoteFile, head: bytes) -> None:
+        # No log begins like a web page.
+        if self._web and head[:512].lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith(_PAGE_STARTS):
+            problem = "the answer is a web page, perhaps for login, not a log"
+            raise refused(
+                file.url, f"{problem}; expected the address of the file itself, signed if necessary"
+            )
+
+    def _key(self, url: str) -> str:
+        """Return the name of an object for fsspec; a web address is its own name."""
+        if not self._web:
+            return url.partition("://")[2].rstrip("/")
+        parts = split_web(url)
+        # Quoted characters stay quoted, because another spelling may have another signature.
+        path = quote(parts.path, safe="/%:@!$&'()*+,;=~-._")
+        return urlunsplit(
+            (parts.scheme.lower(), parts.netloc, path, quote(parts.query, safe="%/?:@!$&'()*+,;=~-._"), "")
+        )
+
+    def _url(self, key: str) -> str:
         return f"{self._scheme}://{key}"
 
     def _asked(self, url: str, work: Callable[[], Result]) -> Result:
-        def attempt() -> Result:
+        """Return the result of a request, with further attempts after a temporary failure."""
+        waits = [*WAITS] if self._scheme in _RETRIED_HERE else []
+        attempts = len(waits) + 1
+        while True:
             try:
                 return work()
+            except (ReadError, SettingError, ChangedError, _WholeOnlyError):
+                raise
             except Exception as error:
-                raise explained(error, url) from error
+                refusal = explained(error, url, timeout_s=timeout())
+                if not isinstance(refusal, PassingError):
+                    raise refusal from error
+                if not waits:
+                    often = f" ({attempts} attempts)" if attempts > 1 else ""
+                    raise refused(url, f"{refusal.problem}{often}", "try again later") from error
+                time.sleep(waits.pop(0))
 
-        return retried(url, attempt)
+
+def empty(url: str) -> ReadError:
+    """Return the error for a file without bytes."""
+    return refused(url, "the file is empty; expected a log")
 
 
 def _entity_tag(info: dict[str, Any]) -> str:
-    """Google and Azure sometimes omit the quotes."""
-    tag = info.get("ETag") or info.get("etag")
+    """Return the ETag in quotes, which Google and Azure sometimes omit, or the time of the last change."""
+    tag = str(info.get("ETag") or info.get("etag") or "")
     if tag:
-        return str(tag) if str(tag).startswith('"') else f'"{tag}"'
-    times = (info.get(name) for name in ("LastModified", "last_modified", "updated", "mtime"))
-    return next((str(time) for time in times if time), "")
+        return tag if tag.startswith(('"', "W/")) else f'"{tag}"'
+    names = ("LastModified", "Last-Modified", "last_modified", "updated", "mtime")
+    return next((str(info[name]) for name in names if info.get(name)), "")
 
 
-def _file_system(protocol: str) -> Any:  # noqa: ANN401 - fsspec has no types
+def _file_system(scheme: str) -> Any:  # noqa: ANN401 - fsspec has no types
     """Return a file system without a cache of listings, because objects change."""
     import fsspec
 
     for name in ("fsspec", "s3fs", "gcsfs", "adlfs", "botocore", "aiobotocore", "google", "azure"):
         logging.getLogger(name).addHandler(logging.NullHandler())
     settings: dict[str, Any] = {"use_listings_cache": False}
-    if protocol == "s3":
+    if scheme in WEB:
+        settings |= _web_settings()
+    elif PACKAGES[scheme] == "s3fs":
         config = {"connect_timeout": timeout(), "read_timeout": timeout(), "retries": {"max_attempts": 1}}
         settings["config_kwargs"] = config | fsspec.config.conf.get("s3", {}).get("config_kwargs", {})
-    return fsspec.filesystem(protocol, **settings)
+    return fsspec.filesystem(scheme, **settings)
 
 
-Store: TypeAlias = HttpStore | ObjectStore
+def _web_settings() -> dict[str, Any]:
+    import aiohttp
+
+    waits = aiohttp.ClientTimeout(total=None, sock_connect=timeout(), sock_read=timeout())
+    # Proxies come from the environment, passwords from ~/.netrc. A compressed file stays compressed.
+    client = {"trust_env": True, "auto_decompress": False, "timeout": waits}
+    headers = {"User-Agent": f"imucal/{__version__}", "Accept-Encoding": "identity"}
+    return {"client_kwargs": client, "headers": headers, "encoded": True, "simple_links": False}
+
 
 _METADATA = "metadata.yaml"
 #: A compressed text may have one more extension.
@@ -350,31 +286,13 @@ def expand(url: str) -> list[str]:
 
     A folder with ``metadata.yaml``, or with only tables, is one log. Raises ReadError.
     """
-    store = store_of(url)
-    return [url] if _object_at(store, url) else _expanded(store, url)
-
-
-def logs_at(url: str) -> list[RemoteLog]:
-    """Return `identify` of each log of a URL; see `expand`."""
-    store = store_of(url)
-    file = _object_at(store, url)
-    return [_of_one(url, file)] if file else [identify(log) for log in _expanded(store, url)]
-
-
-def _object_at(store: Store, url: str) -> RemoteFile | None:
-    return None if has_wildcards(url) or is_folder_name(url) else store.look_at(url)
-
-
-def _expanded(store: Store, url: str) -> list[str]:
+    store = Store(url)
     if has_wildcards(url):
-        found = [match for match in store.matches(url) if name_of(match).endswith(_LOGS)]
-        if found:
-            return found
-        with suppress(ReadError):
-            # Names may contain wildcard characters.
-            if store.look_at(url) is not None:
-                return [url]
-        raise refused(url, "no log has this name; expected an ending such as .mcap, .bag or .csv")
+        return _matches(store, url)
+    if name_of(url).endswith(_LOGS) and not is_folder_name(url):
+        return [url]
+    if store.look_at(url) is not None:
+        return [url]
     logs = _logs_in(store, url)
     names = [name_of(log) for log in logs]
     if _METADATA in names or not any(name.endswith(_MESSAGES) for name in names):
@@ -382,22 +300,29 @@ def _expanded(store: Store, url: str) -> list[str]:
     return [log for log in logs if name_of(log).endswith(_MESSAGES)]
 
 
+def _matches(store: Store, url: str) -> list[str]:
+    found = [match for match in store.matches(url) if name_of(match).endswith(_LOGS)]
+    if found:
+        return found
+    with suppress(ReadError):
+        # Names may contain wildcard characters.
+        if store.look_at(url) is not None:
+            return [url]
+    raise refused(url, "no log has this name; expected an ending such as .mcap, .bag or .csv")
+
+
 def identify(url: str, *, keep: bool = True) -> RemoteLog:
     """Return name, ETag and size of a log without reading it; with `keep` its copy stays in the cache.
 
     Raises ReadError if the log is missing, access is denied or the store does not answer.
     """
-    store = store_of(url)
-    file = None if is_folder_name(url) else store.look_at(url)
-    if file is not None:
-        return _of_one(url, file, keep=keep)
-    found = [store.look_at(log) for log in _logs_in(store, url)]
-    return RemoteLog(url=url, files=tuple(file for file in found if file is not None), folder=True, keep=keep)
-
-
-def _of_one(url: str, file: RemoteFile, *, keep: bool = True) -> RemoteLog:
+    store = Store(url)
+    file = store.look_at(url)
+    if file is None:
+        files = [found for log in _logs_in(store, url) if (found := store.look_at(log))]
+        return RemoteLog(url=url, files=tuple(files), folder=True, keep=keep)
     if file.size == 0:
-        raise refused(url, "the file is empty; expected a log")
+        raise empty(url)
     return RemoteLog(url=url, files=(file,), keep=keep)
 
 

@@ -11,7 +11,7 @@ import fsspec
 import pytest
 from moto.server import ThreadedMotoServer
 
-from imucal.remote import addresses
+from imucal.remote import stores
 from tests.remote.web_server import WebServer, web_server
 
 __all__ = ["bucket", "cache", "endpoint", "no_waits", "web"]
@@ -38,7 +38,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def no_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     """Retry without waiting."""
-    monkeypatch.setattr(addresses, "WAITS", (0.0, 0.0, 0.0))
+    monkeypatch.setattr(stores, "WAITS", (0.0, 0.0, 0.0))
 
 
 @pytest.fixture(scope="session")

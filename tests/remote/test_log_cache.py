@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,7 +13,7 @@ import pytest
 
 import imucal
 from imucal.remote import RemoteLog
-from imucal.remote.copies import cache_folder, cache_size, entry_of, fetched
+from imucal.remote.copies import cache_folder, cache_size, fetched
 from imucal.remote.stores import identify
 from tests.remote.web_server import WebServer
 
@@ -25,7 +24,8 @@ BODY = bytes(range(256)) * 400  # 102 400 bytes
 FETCH = """
 import os, sys
 from imucal.remote.copies import fetched
-with fetched(sys.argv[1]) as copy:
+from imucal.remote.stores import identify
+with fetched(identify(sys.argv[1])) as copy:
     print(len(copy.path.read_bytes()), flush=True)
 """
 
@@ -34,6 +34,7 @@ def start(url: str, script: str = FETCH) -> subprocess.Popen[str]:
     """Fetch a log in a separate process."""
     return subprocess.Popen(  # noqa: S603 - our own code
         [sys.executable, "-c", script, url],
+        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         encoding="utf-8",
@@ -41,13 +42,13 @@ def start(url: str, script: str = FETCH) -> subprocess.Popen[str]:
 
 
 def copies(cache: Path) -> list[str]:
-    """Return the names of the copies in the cache, including incomplete ones."""
+    """Return the names of the copies in the cache, including incomplete ones and links."""
     return sorted(path.name for path in cache.glob("*/*"))
 
 
 def use(url: str) -> RemoteLog:
     """Fetch a log and release it."""
-    with fetched(url) as copy:
+    with fetched(identify(url)) as copy:
         assert copy.path.read_bytes() == BODY
         return copy.log
 
@@ -59,42 +60,87 @@ def test_the_least_recently_used_log_is_removed_first(
     monkeypatch.setenv("IMUCAL_CACHE_SIZE", "250k")
     urls = [web.add(f"/{name}", BODY) for name in "abc"]
     for age, url in ((30, urls[0]), (20, urls[1])):
-        lock = cache / f"{use(url).key}.lock"
-        os.utime(lock, (time.time() - age,) * 2)
+        os.utime(cache / use(url).key, (time.time() - age,) * 2)
     use(urls[0])
     use(urls[2])
     assert copies(cache) == ["a", "c"]
 
 
-def test_a_log_in_use_is_not_removed(web: WebServer, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """If the cache is full, other logs are removed. A cache of size zero keeps nothing after use."""
+def test_a_reader_does_not_lose_a_log_that_is_removed(
+    web: WebServer, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A full cache removes the copy of the first log, but its reader has own links to the files.
+
+    Readers may open the path at any time.
+    """
     monkeypatch.setenv("IMUCAL_CACHE_SIZE", "150k")
     first, second = (web.add(f"/{name}", BODY) for name in "ab")
-    with fetched(first) as copy:
+    with fetched(identify(first)) as copy, copy.path.open("rb") as opened:
         use(second)
-        assert copy.path.read_bytes() == BODY
-        assert not entry_of(copy.log).remove()
-    assert copies(cache) == ["a"]
+        assert [path.name for path in cache.glob(f"{copy.log.key}/*")] == []
+        assert copy.path.read_bytes() == opened.read() == BODY
+    assert copies(cache) == ["b"]
     monkeypatch.setenv("IMUCAL_CACHE_SIZE", "0")
-    use(second)
-    assert copies(cache) == []
-    assert [path.suffix for path in cache.iterdir()] == []
+    use(first)
+    assert list(cache.iterdir()) == []
+
+
+def test_a_reader_in_another_process_does_not_lose_a_log(
+    web: WebServer, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The reader opens the log after this process has removed the copy."""
+    reader = FETCH.replace("    print", "    print(sys.stdin.readline(), end='', flush=True)\n    print")
+    url = web.add("/a", BODY)
+    key = use(url).key
+    process = start(url, reader)
+    while not list(cache.glob(f"{key}.*.part/a")):
+        assert process.poll() is None
+        time.sleep(0.01)
+    monkeypatch.setenv("IMUCAL_CACHE_SIZE", "150k")
+    use(web.add("/b", BODY))
+    assert not (cache / key).exists()
+    assert process.communicate("go\n", timeout=60) == (f"go\n{len(BODY)}\n", "")
+    assert copies(cache) == ["b"]
+
+
+def test_other_files_in_the_folder_are_never_removed(
+    web: WebServer, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folder may be one of the user's."""
+    monkeypatch.setenv("IMUCAL_CACHE_SIZE", "0")
+    for name in ("recordings", f"{32 * 'a'}.part", "a.part"):
+        (cache / name).mkdir(parents=True)
+        (cache / name / "log.mcap").write_bytes(BODY)
+        os.utime(cache / name / "log.mcap", (0, 0))
+        os.utime(cache / name, (0, 0))
+    use(web.add("/a", BODY))
+    assert copies(cache) == ["log.mcap"] * 3
 
 
 def test_a_log_with_keep_false_is_removed_after_use(web: WebServer, cache: Path) -> None:
-    """Fleets use this option. Two nested uses need one download."""
+    """Fleets use this option. A copy that was there is used and stays."""
     log = identify(web.add("/a", BODY), keep=False)
-    with fetched(log) as outer:
-        with fetched(replace(log)) as inner:
-            assert inner.path == outer.path
-        assert outer.path.read_bytes() == BODY
+    with fetched(log) as copy:
+        assert copy.path.read_bytes() == BODY
     assert list(cache.iterdir()) == []
-    assert len(web.asked) == 2
-    kept = replace(log, keep=True)
-    with fetched(kept):
-        pass
+    use(log.url)
+    before = web.parts
+    with fetched(log) as copy:
+        assert copy.path.read_bytes() == BODY
+    assert web.parts == before
     assert copies(cache) == ["a"]
-    assert entry_of(kept).remove()
+
+
+def test_without_hard_links_nothing_is_kept(
+    web: WebServer, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Some file systems have none, such as exFAT."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(1, os.strerror(1))
+
+    monkeypatch.setattr(os, "link", refuse)
+    use(web.add("/a", BODY))
     assert list(cache.iterdir()) == []
 
 
@@ -107,19 +153,31 @@ def test_a_copy_of_wrong_size_is_downloaded_again(web: WebServer, cache: Path) -
     use(url)
 
 
-def test_two_processes_download_once(web: WebServer, cache: Path) -> None:
-    """The second process waits for the lock of the first."""
+def test_two_processes_download_at_the_same_time(web: WebServer, cache: Path) -> None:
+    """Both results are complete, and one copy is kept."""
     url = web.add("/a", BODY, delay_s=0.2)
     running = [start(url) for _ in range(2)]
     outputs = [process.communicate(timeout=60) for process in running]
     assert outputs == [(f"{len(BODY)}\n", "")] * 2
-    assert [part for _, part, _ in web.asked].count("") == 1
+    assert copies(cache) == ["a"]
+    before = web.parts
+    use(url)
+    assert web.parts == before
+
+
+def test_a_copy_that_appears_during_a_download_is_replaced(web: WebServer, cache: Path) -> None:
+    """Another process has downloaded the same object; its links stay valid."""
+    log = identify(web.add("/a", BODY))
+    with fetched(log) as first:
+        shutil.rmtree(cache / log.key)
+        with fetched(log, progress=lambda *_: use(log.url) and None) as second:
+            assert first.path.read_bytes() == second.path.read_bytes() == BODY
     assert copies(cache) == ["a"]
 
 
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGKILL])
-def test_an_interrupted_download_leaves_no_incomplete_file(web: WebServer, cache: Path, sign: int) -> None:
-    """After Ctrl-C it is removed at once, after a kill with the next use of the cache."""
+def test_an_interrupted_download_is_never_used(web: WebServer, cache: Path, sign: int) -> None:
+    """After Ctrl-C it is removed at once, after a kill when it is a day old."""
     url = web.add("/slow", BODY * 10, stall_after=200_000)
     process = start(url)
     while not list(cache.glob("*.part/slow")):
@@ -128,9 +186,14 @@ def test_an_interrupted_download_leaves_no_incomplete_file(web: WebServer, cache
     process.send_signal(sign)
     process.communicate(timeout=60)
     assert process.returncode != 0
-    assert bool(list(cache.glob("*.part"))) == (sign == signal.SIGKILL)
+    left = list(cache.glob("*.part"))
+    assert bool(left) == (sign == signal.SIGKILL)
     use(web.add("/other", BODY))
-    assert copies(cache) == ["other"]
+    assert copies(cache) == (["other", "slow"] if left else ["other"])
+    for path in (*cache.glob("*.part/slow"), *left):
+        os.utime(path, (time.time() - 90_000,) * 2)
+    use(web.add("/third", BODY))
+    assert copies(cache) == ["other", "third"]
 
 
 def test_a_full_disk_is_reported_before_the_download(
@@ -144,8 +207,10 @@ def test_a_full_disk_is_reported_before_the_download(
         return SimpleNamespace(free=(1 << 24) + (200_000 if copies(cache) else 300_000))
 
     monkeypatch.setattr(shutil, "disk_usage", usage)
-    with fetched(web.add("/new", BODY * 2 + BODY[: len(BODY) // 2])):
-        assert copies(cache) == ["new"]
+    new = identify(web.add("/new", BODY * 2 + BODY[: len(BODY) // 2]))
+    with fetched(new) as copy:
+        assert copy.path.stat().st_size == new.size
+    assert copies(cache) == ["new"]
     url = web.add("/newer", BODY * 4)
     message = (
         r"no space for a remote log of 0\.00041 GB: 0\.0171 GB are free; free some space, or set IMUCAL_CACHE"
@@ -168,7 +233,7 @@ def test_a_disk_that_fills_during_the_download_is_reported(web: WebServer, cache
     out, err = start(f"{url}?sig=SECRET", limited).communicate(timeout=60)
     assert err == ""
     hint = "free some space, or set IMUCAL_CACHE to a folder on another disk"
-    assert out == f"{url}: can't write a copy to {cache}: File too large; {hint}\n"
+    assert out == f"{url}: can't write a copy: File too large; {hint}\n"
     assert list(cache.iterdir()) == []
 
 

@@ -14,10 +14,10 @@ import imucal
 from imucal.readers import describe, logs_of
 from imucal.readers.containers.rosbag2_folder import ENDINGS
 from imucal.readers.formats import FORMATS
-from imucal.remote import addresses
-from imucal.remote.addresses import OBJECT_STORES
+from imucal.remote import stores
+from imucal.remote.addresses import PACKAGES
 from imucal.remote.copies import fetched
-from imucal.remote.stores import _MESSAGES, _TABLES, expand, identify
+from imucal.remote.stores import _MESSAGES, _TABLES, EXTRAS, expand, identify
 from imucal.simulation import write_log
 from tests.cli.run import SAMPLE_LOGS, run
 from tests.raising import raises
@@ -42,20 +42,22 @@ def test_a_log_in_s3_equals_the_local_log(bucket: Any, name: str) -> None:  # no
     assert describe(url).topics == describe(SAMPLE_LOGS / name).topics
 
 
-def test_a_log_in_s3_is_described_without_a_copy(bucket: Any, cache: Path) -> None:  # noqa: ANN401
-    """Only ranges are requested."""
-    bucket.put_file(SAMPLE_LOGS / "consumer_mems.mcap", "logs/a.mcap")
-    assert describe("s3://logs/a.mcap").topics[0].count == 36000
-    assert list(cache.rglob("*.mcap")) == []
+def test_a_log_in_s3_is_downloaded_in_parts(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: ANN401
+    """The last part is shorter."""
+    monkeypatch.setattr(stores, "PART", 1000)
+    body = bytes(range(256)) * 10
+    bucket.pipe_file("logs/a.csv", body)
+    with fetched(identify("s3://logs/a.csv")) as copy:
+        assert copy.path.read_bytes() == body
 
 
 def test_a_changed_object_is_downloaded_again(bucket: Any) -> None:  # noqa: ANN401
     """The process must not cache listings."""
     bucket.pipe_file("logs/a.csv", b"one")
-    with fetched("s3://logs/a.csv") as copy:
+    with fetched(identify("s3://logs/a.csv")) as copy:
         assert copy.path.read_bytes() == b"one"
     bucket.pipe_file("logs/a.csv", b"two")
-    with fetched("s3://logs/a.csv") as copy:
+    with fetched(identify("s3://logs/a.csv")) as copy:
         assert copy.path.read_bytes() == b"two"
 
 
@@ -134,7 +136,7 @@ def test_missing_credentials_are_reported_with_a_solution(
     # fsspec reads the variable only when it is loaded, which is already done.
     fsspec.config.set_conf_env(conf, {"FSSPEC_S3_ANON": "true"})
     monkeypatch.setitem(fsspec.config.conf, "s3", conf["s3"])
-    with fetched("s3://logs/a.csv") as copy:
+    with fetched(identify("s3://logs/a.csv")) as copy:
         assert copy.path.read_bytes() == b"one"
     bucket.clear_instance_cache()
 
@@ -151,30 +153,30 @@ def test_denied_access_and_unreachable_servers_are_reported(
         imucal.read("s3://logs/a.csv")
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:1")
     bucket.clear_instance_cache()
-    monkeypatch.setattr(addresses, "WAITS", (0.0,))
+    monkeypatch.setattr(stores, "WAITS", (0.0,))
     with raises(imucal.ReadError, r"\(2 attempts\)", place="s3://logs/a.csv"):
         imucal.read("s3://logs/a.csv")
     bucket.clear_instance_cache()
 
 
-@pytest.mark.parametrize("scheme", OBJECT_STORES)
+@pytest.mark.parametrize("scheme", PACKAGES)
 def test_a_missing_extra_is_reported_with_the_install_command(
     scheme: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The extra exists and contains the package."""
     find = importlib.util.find_spec
-    _, package, _ = OBJECT_STORES[scheme]
+    package = PACKAGES[scheme]
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == package else find(name))
     with pytest.raises(imucal.ReadError) as error:
         imucal.read(f"{scheme}://bucket/log.mcap")
     match = re.fullmatch(
-        rf"{scheme}://bucket/log\.mcap: {scheme}:// needs the package {package}; "
-        r"type: pip install '(.*)\[(.*)\]'",
+        rf"{scheme}://bucket/log\.mcap: needs another package; type: pip install '(.*)\[(.*)\]'",
         str(error.value),
     )
     assert match
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert match[1] == project["name"]
+    assert match[2] == EXTRAS[package]
     assert project["optional-dependencies"][match[2]][0].startswith(f"{package}>=")
 
 

@@ -117,9 +117,8 @@ def _late(web: WebServer, patch: Patch) -> str:
 
 def _without_package(web: WebServer, patch: Patch) -> str:
     find = importlib.util.find_spec
-    del web
-    patch.setattr(importlib.util, "find_spec", lambda name: None if name == "gcsfs" else find(name))
-    return "gs://bucket/log.mcap"
+    patch.setattr(importlib.util, "find_spec", lambda name: None if name == "aiohttp" else find(name))
+    return f"{web.url}/log.mcap"
 
 
 def _no_room(web: WebServer, patch: Patch) -> str:
@@ -140,12 +139,12 @@ CASES: dict[str, Callable[[WebServer, Patch], str]] = {
     "host not found": _no_host,
     "no answer within": _late,
     "…: the answer is a web page": lambda web, _: web.add("/log.csv", b"<!doctype html>" + BODY),
-    "…:// needs the package": _without_package,
-    "the connection ended after": lambda web, _: web.add("/log.csv", BODY, cuts=[900, *[0] * 9]),
+    "…: needs another package": _without_package,
+    "the connection failed": lambda web, _: web.add("/log.csv", BODY, cuts=[900] * 9),
     "…: the server redirects": lambda web, _: web.add("/log.csv", b"", redirect="ftp://127.0.0.1/log.csv"),
     "…: … is not supported": lambda *_: "sftp://host/log.csv",
     "…: no space for a remote log": _no_room,
-    "…: it changed during reading": _changing,
+    "…: it changed during the download": _changing,
 }
 
 

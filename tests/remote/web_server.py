@@ -14,9 +14,10 @@ from urllib.parse import unquote, urlsplit
 class Served:
     """A file of the server.
 
-    `cuts` are the numbers of bytes after which the next answers break off, and `statuses` are the codes of
-    the next answers. The server waits `delay_s` before each answer, and sends nothing after `stall_after`
-    bytes.
+    `cuts` are the numbers of bytes after which the next answers to requests for parts break off (to all
+    requests if it has no `ranges`), and `statuses` are the codes of the next answers. The server waits
+    `delay_s` before each answer, and sends nothing after `stall_after` bytes. `head` is the length that a
+    HEAD request reports; without it such requests are refused.
     """
 
     body: bytes
@@ -29,6 +30,8 @@ class Served:
     statuses: list[int] = field(default_factory=list)
     delay_s: float = 0.0
     stall_after: int = 0
+    head: int | None = None
+    packing: str | None = None
     redirect: str = ""
     login: str = ""
 
@@ -39,7 +42,6 @@ class WebServer:
     def __init__(self) -> None:
         self.files: dict[str, Served] = {}
         self.asked: list[tuple[str, str, str]] = []
-        self.sent = 0
         self.url = ""
         self.closed = threading.Event()
 
@@ -47,6 +49,11 @@ class WebServer:
         """Serve a file; return its URL."""
         self.files[path] = Served(body=body, **more)  # type: ignore[arg-type]
         return self.url + path
+
+    @property
+    def parts(self) -> list[str]:
+        """Return the ranges of the requests for parts."""
+        return [part for _, part, _ in self.asked if part]
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -71,11 +78,19 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(file, part)
 
     def do_HEAD(self) -> None:
-        """Refuse, like servers whose addresses are signed only for GET."""
-        self._say(403)
+        """Refuse unless a length is set: addresses may be signed only for GET."""
+        file = self.web.files.get(unquote(urlsplit(self.path).path))
+        if file is None or file.head is None:
+            self._say(403)
+            return
+        self.send_response(200)
+        self.send_header("Content-Length", str(file.head))
+        self.send_header("ETag", file.etag or "")
+        self.end_headers()
 
     def _send(self, file: Served, part: str) -> None:
         headers = {"ETag": file.etag, "Last-Modified": file.modified, "Content-Type": file.kind}
+        headers["Content-Encoding"] = file.packing
         size, data, code = len(file.body), file.body, 200
         if part and file.ranges:
             match = re.fullmatch(r"bytes=(\d+)-(\d*)", part)
@@ -96,11 +111,9 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header("Connection", "close")
             self.close_connection = True
         self.end_headers()
-        # A request for the first bytes is not cut.
-        if file.cuts and len(data) > 512:
+        if file.cuts and (part or not file.ranges):
             data = data[: file.cuts.pop(0)]
             self.close_connection = True
-        self.web.sent += len(data)
         if file.stall_after and len(data) > file.stall_after:
             self.wfile.write(data[: file.stall_after])
             self.web.closed.wait(60)

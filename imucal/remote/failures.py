@@ -1,0 +1,96 @@
+"""The errors of fsspec and its libraries, explained to users."""
+
+import re
+from collections.abc import Iterator
+from http.client import responses
+
+from imucal.errors import ReadError
+from imucal.remote.addresses import PACKAGES, WEB, refused, scheme_of, shown, without_secrets
+
+#: HTTP codes of temporary failures.
+_PASSING = frozenset({408, 425, 429, 500, 502, 503, 504})
+_MISSING = frozenset({404, 410})
+_DENIED = frozenset({401, 403, 407})
+#: Kind of an error -> its HTTP code, which only web servers report.
+_CODES = {"missing": 404, "denied": 403}
+#: Kind -> names of errors, because the libraries may not be installed; the first match is used.
+_ERRORS = {
+    "missing": "FileNotFoundError ResourceNotFoundError NoSuchBucket NoSuchKey",
+    "denied": "PermissionError",
+    "login": "NoCredentialsError PartialCredentialsError CredentialRetrievalError TokenRetrievalError "
+    "ProfileNotFound DefaultCredentialsError RefreshError ClientAuthenticationError "
+    "CredentialUnavailableError",
+    "redirect": "TooManyRedirects RedirectClientError",
+    "certificate": "SSLCertVerificationError",
+    "host": "gaierror ClientConnectorDNSError",
+    "late": "TimeoutError ConnectTimeoutError ReadTimeoutError ServerTimeoutError",
+    "connection": "EndpointConnectionError ClientConnectionError ConnectionError ServiceRequestError "
+    "ServiceResponseError HTTPClientError ClientPayloadError ResponseStreamingError IncompleteReadError",
+}
+_NO_BUCKET = re.compile(r"NoSuchBucket|(specified )?(bucket|container) does not exist", re.IGNORECASE)
+#: Package -> how to log in.
+_LOG_IN = {
+    "aiohttp": "perhaps a signed address has expired; create a new one, or put name and password in ~/.netrc",
+    "s3fs": "set AWS_PROFILE, or AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY; "
+    "for a public bucket FSSPEC_S3_ANON=true",
+    "gcsfs": "run 'gcloud auth application-default login', or set GOOGLE_APPLICATION_CREDENTIALS",
+    "adlfs": "set AZURE_STORAGE_ACCOUNT_NAME with AZURE_STORAGE_ACCOUNT_KEY or AZURE_STORAGE_SAS_TOKEN, "
+    "or AZURE_STORAGE_CONNECTION_STRING",
+}
+
+
+class PassingError(ReadError):
+    """A temporary failure; another attempt may succeed."""
+
+
+def explained(error: Exception, url: str, *, timeout_s: float) -> ReadError:
+    """Return the error for users; a `PassingError` if another attempt may succeed."""
+    chain = [*_chain(error, web=scheme_of(url) in WEB)]
+    names = {kind.__name__ for cause in chain for kind in type(cause).__mro__}
+    kind = next((kind for kind, known in _ERRORS.items() if names.intersection(known.split())), "")
+    text = without_secrets(" ".join(str(chain[0]).split())[:200], url) or type(chain[0]).__name__
+    # Only errors of web servers have a status. Other libraries raise an error of their own for each code.
+    codes = (getattr(cause, "status", None) for cause in chain)
+    code = next((code for code in codes if isinstance(code, int)), 0)
+    if kind == "redirect":
+        problem = "the server redirects without end, or to an address outside the web"
+        refusal = refused(url, problem, "use the address of the file itself")
+    elif code or kind in _CODES:
+        what = "bucket" if _NO_BUCKET.search(f"{names} {text}") else "object"
+        refusal = _answered(url, code or _CODES[kind], what)
+    elif kind == "login" or "Must provide either a connection_string" in text:
+        refusal = refused(url, "no credentials, or wrong ones", _LOG_IN[PACKAGES[scheme_of(url)]])
+    elif kind == "host":
+        refusal = PassingError("host not found: no network, or a mistake in its name", place=shown(url))
+    elif kind == "late":
+        refusal = PassingError(f"no answer within {timeout_s:g} s", place=shown(url))
+    elif kind == "connection":
+        refusal = PassingError(f"the connection failed: {text}", place=shown(url))
+    elif kind == "certificate":
+        refusal = refused(url, f"the server's certificate is not trusted: {text}")
+    else:
+        refusal = refused(url, f"can't be read: {text}")
+    return refusal
+
+
+def _answered(url: str, code: int, what: str) -> ReadError:
+    """Return the error for an HTTP code."""
+    if code in _MISSING:
+        return refused(url, f"there is no such {what} ({code})", "check the address")
+    if code in _DENIED:
+        return refused(url, f"access is denied ({code})", _LOG_IN[PACKAGES[scheme_of(url)]])
+    problem = f"the server answers {code} ({responses.get(code, 'unknown code')})"
+    if code in _PASSING:
+        return PassingError(problem, place=shown(url))
+    return refused(url, f"{problem}; expected the file")
+
+
+def _chain(error: BaseException, *, web: bool) -> Iterator[BaseException]:
+    """Yield an error and its causes, without fsspec's FileNotFoundError around the error of a web server."""
+    seen: set[int] = set()
+    current: BaseException | None = error
+    while current is not None and id(current) not in seen:
+        seen.add(id(current))
+        if not (web and isinstance(current, FileNotFoundError) and current.__cause__):
+            yield current
+        current = current.__cause__ or current.__context__
