@@ -91,14 +91,17 @@ class LogFile:
         """Return bytes from a position; raises DamagedError if the file ends earlier."""
         beyond = min(position, size) < 0 or position + size > self.size
         damaged_if(beyond, f"{size} bytes at byte {position} are beyond the end of the file", "truncated")
+        data = self._bytes(position, size)
+        end = position + len(data)
+        damaged_if(len(data) < size, f"the file ended at byte {end} during reading", "truncated")
+        return data
+
+    def _bytes(self, position: int, size: int) -> bytes:
         # A scan calls this for each record, so it does not use `refusing`.
         try:
             with self._lock:
                 self._file.seek(position)
-                data = self._file.read(size)
+                return self._file.read(size)
         except OSError as error:
             text = f"can't be read at byte {position}: {error.strerror or error}"
             raise refused(self.path, text) from error
-        end = position + len(data)
-        damaged_if(len(data) < size, f"the file ended at byte {end} during reading", "truncated")
-        return data

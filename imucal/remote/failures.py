@@ -1,7 +1,7 @@
 """The errors of fsspec and its libraries, explained to users."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from http.client import responses
 
 from imucal.errors import ReadError
@@ -24,8 +24,9 @@ _ERRORS = {
     "certificate": "SSLCertVerificationError",
     "host": "gaierror ClientConnectorDNSError",
     "late": "TimeoutError ConnectTimeoutError ReadTimeoutError ServerTimeoutError",
+    "ended": "ClientPayloadError ServerDisconnectedError ResponseStreamingError IncompleteReadError",
     "connection": "EndpointConnectionError ClientConnectionError ConnectionError ServiceRequestError "
-    "ServiceResponseError HTTPClientError ClientPayloadError ResponseStreamingError IncompleteReadError",
+    "ServiceResponseError HTTPClientError",
 }
 _NO_BUCKET = re.compile(r"NoSuchBucket|(specified )?(bucket|container) does not exist", re.IGNORECASE)
 #: Package -> how to log in.
@@ -47,30 +48,44 @@ def explained(error: Exception, url: str, *, timeout_s: float) -> ReadError:
     """Return the error for users; a `PassingError` if another attempt may succeed."""
     chain = [*_chain(error, web=scheme_of(url) in WEB)]
     names = {kind.__name__ for cause in chain for kind in type(cause).__mro__}
-    kind = next((kind for kind, known in _ERRORS.items() if names.intersection(known.split())), "")
     text = without_secrets(" ".join(str(chain[0]).split())[:200], url) or type(chain[0]).__name__
-    # Only errors of web servers have a status. Other libraries raise an error of their own for each code.
-    codes = (getattr(cause, "status", None) for cause in chain)
-    code = next((code for code in codes if isinstance(code, int)), 0)
+    kind, code = _kind_of(names, text), _code_of(chain)
     if kind == "redirect":
         problem = "the server redirects without end, or to an address outside the web"
-        refusal = refused(url, problem, "use the address of the file itself")
-    elif code or kind in _CODES:
+        return refused(url, problem, "use the address of the file itself")
+    if code or kind in _CODES:
         what = "bucket" if _NO_BUCKET.search(f"{names} {text}") else "object"
-        refusal = _answered(url, code or _CODES[kind], what)
-    elif kind == "login" or "Must provide either a connection_string" in text:
-        refusal = refused(url, "no credentials, or wrong ones", _LOG_IN[PACKAGES[scheme_of(url)]])
-    elif kind == "host":
-        refusal = PassingError("host not found: no network, or a mistake in its name", place=shown(url))
-    elif kind == "late":
-        refusal = PassingError(f"no answer within {timeout_s:g} s", place=shown(url))
-    elif kind == "connection":
-        refusal = PassingError(f"the connection failed: {text}", place=shown(url))
-    elif kind == "certificate":
-        refusal = refused(url, f"the server's certificate is not trusted: {text}")
-    else:
-        refusal = refused(url, f"can't be read: {text}")
-    return refusal
+        return _answered(url, code or _CODES[kind], what)
+    if kind == "login":
+        return refused(url, "no credentials, or wrong ones", _LOG_IN[PACKAGES[scheme_of(url)]])
+    if kind == "certificate":
+        return refused(url, f"the server's certificate is not trusted: {text}")
+    passing = {
+        "host": "host not found: no network, or a mistake in its name",
+        "late": f"no answer within {timeout_s:g} s",
+        "ended": "the connection ended early",
+        "connection": f"the connection failed: {text}",
+    }
+    if kind in passing:
+        return PassingError(passing[kind], place=shown(url))
+    return refused(url, f"can't be read: {text}")
+
+
+def _kind_of(names: set[str], text: str) -> str:
+    """Return the kind of an error from the names of its classes; empty if it is unknown."""
+    if "Must provide either a connection_string" in text:
+        # Azure's library raises a ValueError without credentials.
+        return "login"
+    return next((kind for kind, known in _ERRORS.items() if names.intersection(known.split())), "")
+
+
+def _code_of(chain: Sequence[BaseException]) -> int:
+    """Return the code that a web server answered with, or 0.
+
+    Only its errors have a status. The libraries of other stores have an error of their own for each code.
+    """
+    found = (getattr(cause, "status", None) for cause in chain)
+    return next((code for code in found if isinstance(code, int)), 0)
 
 
 def _answered(url: str, code: int, what: str) -> ReadError:

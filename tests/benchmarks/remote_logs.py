@@ -23,7 +23,7 @@ import numpy as np
 
 import imucal
 from imucal.readers import describe, read
-from imucal.remote.stores import ObjectStore
+from imucal.remote.stores import Store
 from imucal.simulation import Rows, ros2_messages, write_log
 from tests.cli.run import SAMPLE_LOGS, run
 from tests.remote.web_server import web_server
@@ -103,15 +103,15 @@ def main() -> None:
     server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
     os.environ["AWS_ENDPOINT_URL"] = "http://{}:{}".format(*server.get_host_and_port())
-    counted = {"s3": 0}
-    part = ObjectStore._part
+    counted = {"bytes": 0}
+    part = Store._part
 
-    def counting(self: ObjectStore, *arguments: Any) -> bytes:  # noqa: ANN401
+    def counting(self: Store, *arguments: Any) -> bytes:  # noqa: ANN401
         data = part(self, *arguments)
-        counted["s3"] += len(data)
+        counted["bytes"] += len(data)
         return data
 
-    ObjectStore._part = counting  # type: ignore[method-assign,assignment]
+    Store._part = counting  # type: ignore[method-assign,assignment]
     with tempfile.TemporaryDirectory() as folder, web_server() as web:
         files = fsspec.filesystem("s3", use_listings_cache=False)
         files.mkdir("logs")
@@ -120,9 +120,9 @@ def main() -> None:
             size = log.stat().st_size
             files.put_file(log, f"logs/{log.name}")
             label = f"{log.name} ({size / 1e6:.3g} MB)"
-            measure(f"s3 {label}", f"s3://logs/{log.name}", lambda: counted["s3"], Path(folder), size)
-            url = web.add(f"/{log.name}", log.read_bytes())
-            measure(f"http {label}", url, lambda: web.sent, Path(folder), size)
+            addresses = {"s3": f"s3://logs/{log.name}", "http": web.add(f"/{log.name}", log.read_bytes())}
+            for store, url in addresses.items():
+                measure(f"{store} {label}", url, lambda: counted["bytes"], Path(folder), size)
     server.stop()
     sys.stdout.flush()
 

@@ -170,7 +170,11 @@ def test_a_copy_that_appears_during_a_download_is_replaced(web: WebServer, cache
     log = identify(web.add("/a", BODY))
     with fetched(log) as first:
         shutil.rmtree(cache / log.key)
-        with fetched(log, progress=lambda *_: use(log.url) and None) as second:
+
+        def other_process(*_: int) -> None:
+            use(log.url)
+
+        with fetched(log, progress=other_process) as second:
             assert first.path.read_bytes() == second.path.read_bytes() == BODY
     assert copies(cache) == ["a"]
 

@@ -73,7 +73,7 @@ def test_the_messages_of_the_page_equal_those_of_the_source() -> None:
 
 
 class Changing(list[int]):
-    """Lengths of answers; the object changes after each answer."""
+    """Lengths of answers, which are complete; the object changes after each answer."""
 
     def __init__(self, web: WebServer, path: str) -> None:
         super().__init__()
@@ -85,7 +85,7 @@ class Changing(list[int]):
     def pop(self, _: object = 0) -> int:
         self._count += 1
         self._web.add(self._path, BODY, etag=f'"{self._count}"', cuts=self)
-        return 1000
+        return len(BODY)
 
 
 BODY = b"t,gx,gy,gz,ax,ay,az\n" + b"0,0,0,0,0,0,9.8\n" * 2000
@@ -133,16 +133,18 @@ def _changing(web: WebServer, patch: Patch) -> str:
 
 #: Start of each message of the page -> function that makes the server cause it and returns the address.
 CASES: dict[str, Callable[[WebServer, Patch], str]] = {
+    "the server answers": lambda web, _: web.add("/log.csv", BODY, statuses=[503] * 9),
     "…: there is no such": lambda web, _: f"{web.url}/missing.csv",
     "…: access is denied": lambda web, _: web.add("/log.csv", BODY, statuses=[403]),
-    "…: no credentials, or": _no_credentials,
+    "no credentials, or": _no_credentials,
     "host not found": _no_host,
     "no answer within": _late,
     "…: the answer is a web page": lambda web, _: web.add("/log.csv", b"<!doctype html>" + BODY),
     "…: needs another package": _without_package,
-    "the connection failed": lambda web, _: web.add("/log.csv", BODY, cuts=[900] * 9),
-    "…: the server redirects": lambda web, _: web.add("/log.csv", b"", redirect="ftp://127.0.0.1/log.csv"),
-    "…: … is not supported": lambda *_: "sftp://host/log.csv",
+    "the connection ended early": lambda web, _: web.add("/log.csv", BODY, cuts=[900] * 9),
+    "the connection failed": lambda *_: "http://127.0.0.1:1/log.csv",
+    "the server redirects": lambda web, _: web.add("/log.csv", b"", redirect="ftp://127.0.0.1/log.csv"),
+    "…:// is not supported": lambda *_: "sftp://host/log.csv",
     "…: no space for a remote log": _no_room,
     "…: it changed during the download": _changing,
 }
