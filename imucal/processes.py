@@ -52,8 +52,10 @@ _LOOK_S = 1.0
 _WORDS = 2000
 #: Name of the thread of `imucal.readers.checksums`.
 CHECKSUMS = "imucal checksums"
-#: Threads without locks that a child needs: ours, and the class of rich's progress bars.
-_HARMLESS = frozenset({CHECKSUMS, "_RefreshThread"})
+#: Start of the names of fsspec's threads, which are idle after a download.
+DOWNLOADS = "fsspecIO"
+#: Threads without locks that a child needs: ours, the class of rich's progress bars, and fsspec's.
+_HARMLESS = frozenset({CHECKSUMS, "_RefreshThread", DOWNLOADS})
 #: Warnings that were shown, as Python registers them for each module.
 _SEEN: dict[str | tuple[str, type[Warning], int], int] = {}
 #: Warning of Python 3.12 and later.
@@ -275,7 +277,7 @@ def may_fork() -> bool:
     return (
         multiprocessing.parent_process() is None
         and threading.current_thread() is threading.main_thread()
-        and all(_HARMLESS & {thread.name, type(thread).__name__} for thread in others)
+        and all(_HARMLESS & {thread.name.partition("_")[0], type(thread).__name__} for thread in others)
     )
 
 

@@ -32,7 +32,7 @@ BELOW: dict[str, set[str]] = {
     "user_input": {"errors"},
 }
 BASE = set(BELOW)
-BELOW["remote"] = {"_version", "errors", "frozen", "resources", "user_input"}
+BELOW["remote"] = {"_version", "errors", "frozen", "processes", "resources", "user_input"}
 BELOW |= {
     "readers": BASE | {"remote"},
     "screening": BASE,

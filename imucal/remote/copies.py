@@ -18,7 +18,7 @@ from uuid import uuid4
 from imucal.errors import Fix, ReadError
 from imucal.frozen import frozen
 from imucal.remote.addresses import RemoteLog, name_of, refused
-from imucal.remote.stores import ChangedError, Store
+from imucal.remote.stores import Store
 from imucal.resources import size_setting
 
 #: Environment variables of the cache: its folder, and its size in bytes.
@@ -107,9 +107,6 @@ def _download(log: RemoteLog, files: list[Path], progress: Progress | None) -> N
                 before += out.tell()
                 out.flush()
                 os.fsync(out.fileno())
-    except ChangedError as error:
-        advice = "wait until it is complete, and run the command again"
-        raise refused(log.url, "it changed during the download", advice) from error
     except OSError as error:
         raise refused(log.url, f"can't write a copy: {error.strerror or error}", _OTHER_DISK) from error
 

@@ -1,19 +1,22 @@
 """Stores of logs, by fsspec: web servers, S3, Google Cloud Storage and Azure."""
 
+import asyncio
+import functools
 import importlib.util
 import logging
 import os
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from fnmatch import fnmatchcase
-from functools import partial
 from html import unescape
 from typing import IO, Any, TypeVar
 from urllib.parse import quote, unquote, urlunsplit
 
 from imucal._version import __version__
 from imucal.errors import ArgumentError, ReadError, SettingError
+from imucal.processes import DOWNLOADS
 from imucal.remote.addresses import (
     PACKAGES,
     WEB,
@@ -44,6 +47,8 @@ PART = 1 << 24
 _BLOCK = 1 << 20
 #: Package -> extra of imucal that contains it.
 EXTRAS = {"aiohttp": "remote", "s3fs": "s3", "gcsfs": "gcs", "adlfs": "azure"}
+#: Characters of a web address that stay, also quoted ones: another spelling may have another signature.
+_SAFE = "%/?:@!$&'()*+,;=~-._"
 _PAGE_STARTS = (b"<!doctype html", b"<html")
 
 
@@ -59,10 +64,6 @@ def timeout() -> float:
     if not 0 < seconds < 1e6:
         raise SettingError(f"{TIMEOUT}: found {text!r}, expected seconds such as 60; set some, or unset it")
     return seconds
-
-
-class ChangedError(Exception):
-    """The object has changed since it was identified."""
 
 
 class _WholeOnlyError(Exception):
@@ -111,13 +112,13 @@ class Store:
     def download(self, file: RemoteFile, out: IO[bytes], count: Callable[[int], None]) -> None:
         """Write an object to an open file; a part that fails is requested again.
 
-        `count` is called with the number of bytes written. Raises ChangedError if the object has changed.
+        `count` is called with the number of bytes written. Raises ReadError also if the object has changed.
         """
         size, whole = file.size or 0, file.size is None
         try:
             for start in range(0, size, PART):
                 stop = min(start + PART, size)
-                data = self._asked(file.url, partial(self._part, file, start, stop))
+                data = self._asked(file.url, functools.partial(self._part, file, start, stop))
                 if start == 0:
                     self._require_no_page(file, data)
                 out.write(data)
@@ -128,7 +129,7 @@ class Store:
             self._asked(file.url, lambda: self._stream(file, out, count))
         # Parts may belong to two objects.
         if self.look_at(file.url) != file:
-            raise ChangedError
+            raise changed(file.url)
 
     def files_in(self, url: str) -> list[str]:
         """Return the URLs of the files of a folder, sorted."""
@@ -144,10 +145,8 @@ class Store:
         folder, _, pattern = url.partition("?")[0].rpartition("/")
         if "*" in folder:
             raise refused(url, "a web address may have * in its last part only, such as …/logs/*.mcap")
-        names = {
-            link: unquote(split_web(link).path.rpartition("/")[2]) for link in self._links(url, f"{folder}/")
-        }
-        return [link for link, name in names.items() if fnmatchcase(name, unquote(pattern))]
+        links = self._links(url, f"{folder}/")
+        return [link for link in links if fnmatchcase(name_of(link), unquote(pattern))]
 
     def _links(self, url: str, folder: str) -> list[str]:
         """Return the links to files directly in a folder of a web server, sorted."""
@@ -172,7 +171,7 @@ class Store:
         else:
             data = self._files.cat_file(key, start=start, end=stop)
         if len(data) != stop - start:
-            raise ChangedError
+            raise changed(file.url)
         return data
 
     def _stream(self, file: RemoteFile, out: IO[bytes], count: Callable[[int], None]) -> None:
@@ -190,7 +189,7 @@ class Store:
         if done == 0:
             raise empty(file.url)
         if file.size not in {None, done}:
-            raise ChangedError
+            raise changed(file.url)
 
     def _require_no_page(self, file: RemoteFile, head: bytes) -> None:
         # No log begins like a web page.
@@ -205,11 +204,8 @@ class Store:
         if not self._web:
             return url.partition("://")[2].rstrip("/")
         parts = split_web(url)
-        # Quoted characters stay quoted, because another spelling may have another signature.
-        path = quote(parts.path, safe="/%:@!$&'()*+,;=~-._")
-        return urlunsplit(
-            (parts.scheme.lower(), parts.netloc, path, quote(parts.query, safe="%/?:@!$&'()*+,;=~-._"), "")
-        )
+        path, query = (quote(part, safe=_SAFE) for part in (parts.path, parts.query))
+        return urlunsplit((parts.scheme, parts.netloc, path, query, ""))
 
     def _url(self, key: str) -> str:
         return f"{self._scheme}://{key}"
@@ -221,7 +217,7 @@ class Store:
         while True:
             try:
                 return work()
-            except (ReadError, SettingError, ChangedError, _WholeOnlyError):
+            except (ReadError, SettingError, _WholeOnlyError):
                 raise
             except Exception as error:
                 refusal = explained(error, url, timeout_s=timeout())
@@ -238,6 +234,12 @@ def empty(url: str) -> ReadError:
     return refused(url, "the file is empty; expected a log")
 
 
+def changed(url: str) -> ReadError:
+    """Return the error for a file that is not the one that was identified."""
+    advice = "wait until it is complete, and run the command again"
+    return refused(url, "it changed during the download", advice)
+
+
 def _entity_tag(info: dict[str, Any]) -> str:
     """Return the ETag in quotes, which Google and Azure sometimes omit, or the time of the last change."""
     tag = str(info.get("ETag") or info.get("etag") or "")
@@ -249,10 +251,11 @@ def _entity_tag(info: dict[str, Any]) -> str:
 
 def _file_system(scheme: str) -> Any:  # noqa: ANN401 - fsspec has no types
     """Return a file system without a cache of listings, because objects change."""
-    import fsspec
+    import fsspec.asyn
 
     for name in ("fsspec", "s3fs", "gcsfs", "adlfs", "botocore", "aiobotocore", "google", "azure"):
         logging.getLogger(name).addHandler(logging.NullHandler())
+    _name_threads(fsspec.asyn.get_loop())
     settings: dict[str, Any] = {"use_listings_cache": False}
     if scheme in WEB:
         settings |= _web_settings()
@@ -260,6 +263,12 @@ def _file_system(scheme: str) -> Any:  # noqa: ANN401 - fsspec has no types
         config = {"connect_timeout": timeout(), "read_timeout": timeout(), "retries": {"max_attempts": 1}}
         settings["config_kwargs"] = config | fsspec.config.conf.get("s3", {}).get("config_kwargs", {})
     return fsspec.filesystem(scheme, **settings)
+
+
+@functools.cache
+def _name_threads(loop: asyncio.AbstractEventLoop) -> None:
+    """Give the threads that look up hosts a name by which `may_fork` recognises them as idle."""
+    loop.set_default_executor(ThreadPoolExecutor(thread_name_prefix=DOWNLOADS))
 
 
 def _web_settings() -> dict[str, Any]:

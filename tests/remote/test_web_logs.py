@@ -304,6 +304,27 @@ def test_credentials_come_from_the_url_or_netrc(web: WebServer, tmp_path: Path) 
     assert imucal.read(f"{web.url}/log.csv", **OPTIONS).series[0].n == 2000
 
 
+def test_a_proxy_comes_from_the_environment(web: WebServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The proxy gets the whole address."""
+    web.add("/log.csv", TABLE)
+    monkeypatch.setenv("http_proxy", web.url)
+    monkeypatch.delenv("no_proxy", raising=False)
+    monkeypatch.delenv("NO_PROXY", raising=False)
+    assert imucal.read("http://host.invalid/log.csv", **OPTIONS).series[0].n == 2000
+    assert {path for path, _, _ in web.asked} == {"http://host.invalid/log.csv"}
+
+
+def test_a_redirect_to_another_server_gets_no_password(web: WebServer) -> None:
+    other = f"http://localhost:{web.url.rpartition(':')[2]}/store.csv"
+    web.add("/store.csv", TABLE)
+    url = web.add("/log.csv", b"", redirect=other)
+    assert imucal.read(url.replace("//", "//me:WORD@"), **OPTIONS).series[0].n == 2000
+    assert {(path, bool(login)) for path, _, login in web.asked} == {
+        ("/log.csv", True),
+        ("/store.csv", False),
+    }
+
+
 def test_urls_can_contain_spaces_and_umlauts(web: WebServer) -> None:
     """Characters may be quoted or not. Impossible file names are replaced."""
     web.add("/Läufe 1/log 1.csv", TABLE)
