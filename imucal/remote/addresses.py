@@ -129,15 +129,6 @@ class RemoteFile:
     #: In bytes; None if unknown.
     size: int | None
 
-    @property
-    def key(self) -> str:
-        """Digest of URL, ETag and size.
-
-        The query, which changes with each signature, counts only without an ETag: it may select the content.
-        """
-        url = shown(self.url) if self.etag.startswith(('"', "W/")) else self.url
-        return _digest(f"{url}\n{self.etag}\n{self.size}")
-
 
 @frozen
 class RemoteLog:
@@ -174,10 +165,12 @@ class RemoteLog:
 
     @property
     def key(self) -> str:
-        """Key in the cache and in a fleet's results: 32 hexadecimal digits."""
-        if not self.folder:
-            return self.files[0].key
-        return _digest("\n".join([self.shown, *(file.key for file in self.files)]))
+        """Name in the cache: a digest of URL, ETag and size, of 32 hexadecimal digits.
+
+        The query, which changes with each signature, counts only without an ETag: it may select the content.
+        """
+        url = self.shown if self.etag.startswith(('"', "W/")) else self.url
+        return _digest(f"{url}\n{self.etag}\n{self.size}")
 
 
 def _digest(text: str) -> str:

@@ -48,7 +48,8 @@ def explained(error: Exception, url: str, *, timeout_s: float) -> ReadError:
     """Return the error for users; a `PassingError` if another attempt may succeed."""
     chain = [*_chain(error, web=scheme_of(url) in WEB)]
     names = {kind.__name__ for cause in chain for kind in type(cause).__mro__}
-    text = without_secrets(" ".join(str(chain[0]).split())[:200], url) or type(chain[0]).__name__
+    # A part of a password must not remain, so the text is cut afterwards.
+    text = without_secrets(" ".join(str(chain[0]).split()), url)[:200] or type(chain[0]).__name__
     kind, code = _kind_of(names, text), _code_of(chain)
     if kind == "redirect":
         problem = "the server redirects without end, or to an address outside the web"

@@ -1,6 +1,5 @@
 """Stores of logs, by fsspec: web servers, S3, Google Cloud Storage and Azure."""
 
-import asyncio
 import functools
 import importlib.util
 import logging
@@ -11,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from fnmatch import fnmatchcase
 from html import unescape
-from typing import IO, Any, TypeVar
+from typing import IO, TYPE_CHECKING, Any, TypeVar
 from urllib.parse import quote, unquote, urlunsplit
 
 from imucal._version import __version__
@@ -31,6 +30,9 @@ from imucal.remote.addresses import (
 )
 from imucal.remote.failures import PassingError, explained
 from imucal.user_input import seconds_of
+
+if TYPE_CHECKING:
+    from asyncio import AbstractEventLoop
 
 Result = TypeVar("Result")
 
@@ -266,7 +268,7 @@ def _file_system(scheme: str) -> Any:  # noqa: ANN401 - fsspec has no types
 
 
 @functools.cache
-def _name_threads(loop: asyncio.AbstractEventLoop) -> None:
+def _name_threads(loop: "AbstractEventLoop") -> None:
     """Give the threads that look up hosts a name by which `may_fork` recognises them as idle."""
     loop.set_default_executor(ThreadPoolExecutor(thread_name_prefix=DOWNLOADS))
 

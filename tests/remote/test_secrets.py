@@ -1,6 +1,7 @@
 """Secrets in URLs do not appear on the terminal, in reports or in the cache."""
 
 import json
+import re
 from pathlib import Path
 
 import jsonschema
@@ -8,6 +9,7 @@ import pytest
 
 from imucal.cli.fit import report_folder
 from imucal.remote.addresses import has_wildcards, is_url, name_of, shown, without_secrets
+from imucal.remote.failures import explained
 from imucal.remote.stores import identify
 from imucal.report.json_file import load, schema
 from tests.cli.run import run
@@ -109,6 +111,15 @@ def test_messages_of_libraries_contain_no_secrets() -> None:
     url = f"https://host/a.mcap?{SECRET}"
     text = f"400, url='{url}' (https://other/b?sig=SECRET2) failed"
     assert without_secrets(text, url) == "400, url='https://host/a.mcap' (https://other/b) failed"
+
+
+@pytest.mark.parametrize("before", ["", "x" * 180])
+def test_unknown_errors_of_libraries_contain_no_secrets(before: str) -> None:
+    """The text is cut after 200 characters, perhaps within an address."""
+    url = f"https://me:WORD{'9' * 40}@host/a.mcap?{SECRET}"
+    error = explained(RuntimeError(f"{before} {url} {url.replace('a.mcap', 'b.mcap')}"), url, timeout_s=1)
+    assert "https://" in str(error)
+    assert not re.search("WORD|SECRET|me:", str(error))
 
 
 def test_a_log_is_fetched_once_with_an_empty_cache(
