@@ -22,15 +22,6 @@ def test_a_removed_lock_file_is_not_a_lock(tmp_path: Path) -> None:
             assert new
 
 
-def test_several_readers_share_a_lock(tmp_path: Path) -> None:
-    path = tmp_path / "a.lock"
-    with locked(path, shared=True) as one, locked(path, shared=True, wait=False) as two:
-        assert one
-        assert two
-        with locked(path, wait=False) as writer:
-            assert not writer
-
-
 def test_a_folder_is_its_own_lock(tmp_path: Path) -> None:
     """No file is created in it."""
     with locked(tmp_path), locked(tmp_path, wait=False) as second:
