@@ -1,10 +1,5 @@
-"""Types of arrays, read-only views, and blocks of arrays in mapped files.
+"""Types of arrays, read-only views, and blocks of arrays."""
 
-Pages of a mapped array count as memory of the process, so they are released after use; the system reads them
-again if necessary.
-"""
-
-import mmap
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from typing import Any, TypeAlias, TypeVar
@@ -86,51 +81,16 @@ def distinct(values: IntArray) -> IntArray:
 
 #: Values per block: few enough for the cache, many enough for a loop in Python.
 BLOCK = 1 << 18
-#: Values after which pages are released.
-_HELD = 1 << 21
 
 
-def release(*arrays: NDArray[Any]) -> None:
-    """Release the pages of arrays in mapped files; other arrays are not changed."""
-    _hand_back(_mappings(arrays))
-
-
-def blocks(n: int, *arrays: NDArray[Any], size: int = 0) -> Iterator[slice]:
-    """Yield slices of `size` values (or `BLOCK`) of arrays of n values; release the pages of past ones."""
-    size = size or BLOCK
-    held = _mappings(arrays)
-    passed = 0
+def blocks(n: int, *, size: int = BLOCK) -> Iterator[slice]:
+    """Yield slices of `size` values of arrays of n values, to avoid large temporary arrays."""
     for start in range(0, n, size):
         yield slice(start, min(start + size, n))
-        passed += size
-        if passed >= _HELD:
-            passed = 0
-            _hand_back(held)
-    _hand_back(held)
 
 
 def never_changes(values: NDArray[Any]) -> bool:
     """Return whether all of at least one value are equal to the first; NaN equals NaN."""
     first = values[0]
-    parts = (values[part] for part in blocks(values.size, values))
+    parts = (values[part] for part in blocks(values.size))
     return all(bool((np.isnan(part) if np.isnan(first) else part == first).all()) for part in parts)
-
-
-def _mappings(arrays: tuple[NDArray[Any], ...]) -> list[mmap.mmap]:
-    found = {id(held): held for array in arrays if (held := _mapping(array)) is not None}
-    return list(found.values())
-
-
-def _mapping(array: NDArray[Any]) -> mmap.mmap | None:
-    base: object = array
-    while isinstance(base, np.ndarray):
-        base = base.base
-    if isinstance(base, memoryview):
-        base = base.obj
-    return base if isinstance(base, mmap.mmap) else None
-
-
-def _hand_back(held: list[mmap.mmap]) -> None:
-    for one in held:
-        if hasattr(one, "madvise"):
-            one.madvise(mmap.MADV_DONTNEED)

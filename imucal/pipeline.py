@@ -13,7 +13,7 @@ from imucal.advice import advised_report
 from imucal.allan import Spectrum, allan_curve, spectrum
 from imucal.allan.dct import Transform
 from imucal.arguments import takes
-from imucal.arrays import FloatArray, never_changes, release
+from imucal.arrays import FloatArray, never_changes
 from imucal.errors import ArgumentError, DataError
 from imucal.findings import Finding, as_sentence
 from imucal.fitting import FitSettings, NoiseFit, fit_axis
@@ -200,14 +200,12 @@ def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
 
     def look(series: AxisSeries) -> tuple[Finding, ...]:
         finite = series.finite()
-        found = findings_or_why_not(
+        return findings_or_why_not(
             lambda: not_noise(finite, _temperature_at(finite, recording.temperature)),
             what="The search for disturbances failed",
             code="not-checked",
             axis=series.name,
         )
-        release(series.samples)
-        return found
 
     found = side_by_side(look, recording.series, workers=workers)
     return worst_first(recording, [*findings, *chain.from_iterable(found)])
@@ -260,8 +258,6 @@ def _characterize_axis(
         findings += [replace(finding, axis=series.name) for finding in found]
     mean, std = _moments(finite.samples)
     overview = Overview.of(finite)
-    # Samples in a temporary file can leave the memory.
-    release(series.samples)
     return AxisReport(
         sensor=series.sensor,
         axis=series.axis,

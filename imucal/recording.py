@@ -129,7 +129,7 @@ class AxisSeries(Displayed):
     def finite(self) -> "AxisSeries":
         """Return the series without NaN, infinite and absurd samples; they become gaps."""
         if not self._known_finite:
-            if not all(bool(_sane(self.samples[part]).all()) for part in blocks(self.n, self.samples)):
+            if not all(bool(_sane(self.samples[part]).all()) for part in blocks(self.n)):
                 return self.keeping(self.usable)
             object.__setattr__(self, "_known_finite", True)
         return self
@@ -138,7 +138,7 @@ class AxisSeries(Displayed):
     def usable(self) -> NDArray[np.bool_]:
         """Which samples are not NaN and within `ABSURD`, shape (n,)."""
         keep = np.empty(self.n, dtype=np.bool_)
-        for part in blocks(self.n, self.samples):
+        for part in blocks(self.n):
             keep[part] = _sane(self.samples[part])
         return keep
 

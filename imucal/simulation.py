@@ -19,7 +19,6 @@ from imucal.clock import Clock
 from imucal.errors import ArgumentError, Fix, WriteError
 from imucal.frozen import frozen, frozen_alone
 from imucal.noise import NoiseModel
-from imucal.readers.store import Room
 from imucal.recording import AXES, AxisSeries, Recording, Sensor, Source
 
 #: Time of the first simulated sample: 2026-01-01 00:00 UTC, in ns.
@@ -55,7 +54,7 @@ def simulate_recording(
     seed: int,
     gaps_s: Sequence[tuple[float, float]] = (),
 ) -> Recording:
-    """Return a recording of simulated noise; a long one is in temporary files.
+    """Return a recording of simulated noise.
 
     The same seed gives the same samples. `gaps_s` contains start and length, in s, of gaps. Raises a
     ValueError if no sample is left.
@@ -71,10 +70,9 @@ def simulate_recording(
         raise ArgumentError("the gaps remove all samples")
     even = Clock.even(n, rate_hz, source="simulated")
     clock = replace(even, start_ns=START_NS, jitter_s=0.0).keeping(keep)
-    room = Room()
     truths = {Sensor.GYROSCOPE: gyroscope, Sensor.ACCELEROMETER: accelerometer}
     series = tuple(
-        AxisSeries(sensor=sensor, axis=axis, samples=room.chosen(row, keep), clock=clock)
+        AxisSeries(sensor=sensor, axis=axis, samples=row[keep], clock=clock)
         for sensor, truth in truths.items()
         for axis, row in zip(AXES, truth.rows(n, rate_hz=rate_hz, rng=rng), strict=True)
     )
@@ -102,7 +100,7 @@ class Rows:
 
 def _rows(recording: Recording) -> Iterator[Rows]:
     clock, columns = recording.series[0].clock, [series.samples for series in recording.series]
-    for part in blocks(clock.n, *columns, size=_MESSAGES):
+    for part in blocks(clock.n, size=_MESSAGES):
         place = clock.grid(part.start, part.stop)
         stamps = (clock.start_ns or 0) + np.rint(place * (1e9 / clock.rate_hz)).astype(np.int64)
         values = np.stack([column[part] for column in columns], axis=1)

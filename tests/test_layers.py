@@ -39,7 +39,7 @@ BELOW |= {
     "allan": BASE,
     "noise": BASE,
     "fitting": BASE | {"allan", "noise", "screening"},
-    "simulation": BASE | {"noise", "readers"},
+    "simulation": BASE | {"noise"},
     "prediction": BASE | {"allan", "noise", "fitting"},
     "report": BASE | {"allan", "noise", "fitting", "prediction"},
 }

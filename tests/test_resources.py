@@ -195,5 +195,5 @@ def test_a_log_is_decoded_by_the_set_number_of_threads(
         assert set(started) == pools
     done = run("adev", str(path), cwd=tmp_path, IMUCAL_THREADS="many")
     assert (done.returncode, done.stderr.partition(":")[0]) == (2, "Error")
-    done = run("adev", str(path), cwd=tmp_path, IMUCAL_MEMORY="much")
+    done = run("fit", str(path), cwd=tmp_path, IMUCAL_MEMORY="much")
     assert done.returncode == 2

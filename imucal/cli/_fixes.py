@@ -18,6 +18,8 @@ _OPTIONS = {
     "accel_scale": "--accel-scale",
     "message_definition": "--msg",
     "join": "--join",
+    "skip_s": "--skip",
+    "take_s": "--take",
     "rest_at_least": "--rest-at-least",
     "in_hand": "--in-hand",
     "model": "--sensor",

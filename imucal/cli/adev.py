@@ -5,7 +5,6 @@ from typing import Any
 import click
 
 from imucal._version import __version__
-from imucal.arrays import release
 from imucal.cli._printing import echo, picked, print_findings, print_json, print_note, refuse
 from imucal.cli.log_request import LogRequest
 from imucal.cli.options import ADVANCED, OUTPUT, Command, flag, force, level, log_options, option, unwrapped
@@ -61,8 +60,6 @@ def command(
             axes.append(_axis(series, taus, level=level, spectrum=as_json))
         except DataError as error:
             failures[series.name] = error
-        # Samples in a temporary file can leave the memory.
-        release(series.samples)
     if not axes:
         missing = DataError("found no axis of a gyroscope or an accelerometer", place=recording.source.path)
         raise next(iter(failures.values()), missing)

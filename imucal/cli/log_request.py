@@ -1,6 +1,5 @@
 """LogRequest: the logs that a command reads, with the options for reading them."""
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import field, replace
@@ -53,10 +52,14 @@ class LogRequest:
         from imucal.readers import read
 
         with progress("reading", *BYTES) as update:
-            recording = read(*logs.paths, **self.reading, strict=self.strict, progress=update)
-        if self.skip_s or self.take_s is not None:
-            end = math.inf if self.take_s is None else self.skip_s + self.take_s
-            recording = recording.between(self.skip_s, end)
+            recording = read(
+                *logs.paths,
+                **self.reading,
+                strict=self.strict,
+                skip_s=self.skip_s,
+                take_s=self.take_s,
+                progress=update,
+            )
         recording = logs.named(recording)
         _print_what_was_read(recording)
         return recording

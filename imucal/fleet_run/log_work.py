@@ -3,7 +3,6 @@
 If a log hangs, crashes or needs too much memory, only the child ends.
 """
 
-import math
 import signal
 import time
 from collections.abc import Sequence
@@ -162,12 +161,7 @@ def _characterised(task: LogTask, settings: FleetSettings, logs: LocalLogs, *, k
     from imucal.pipeline import Settings, characterize
     from imucal.readers import read
 
-    reading = dict(task.reading)
-    skip_s, take_s = reading.pop("skip_s", 0.0), reading.pop("take_s", math.inf)
-    recording: Recording = read(logs.paths[0], **reading)
-    if skip_s or take_s < math.inf:
-        recording = recording.between(skip_s, skip_s + take_s)
-    recording = logs.named(recording)
+    recording: Recording = logs.named(read(logs.paths[0], **task.reading))
     wanted = Settings(model=settings.model, level=settings.level, reading={**task.reading, "path": task.path})
     # Other processors work on other logs.
     report = characterize(recording, wanted, workers=1)

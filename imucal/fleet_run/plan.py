@@ -53,7 +53,7 @@ class LogTask:
     """A requested log and its state.
 
     `place` is the given path, relative to `FleetSettings.folder`, or a URL with its secrets, which is never
-    stored. `reading` contains arguments of `imucal.read`, ``skip_s`` and ``take_s``. `size` is in bytes, 0 if
+    stored. `reading` contains arguments of `imucal.read`. `size` is in bytes, 0 if
     unknown. A log of another shard is not `own`.
 
     A log is to ``run``, to run ``again`` after a failure, ``done``, or a ``copy`` of another log, `copy_of`.

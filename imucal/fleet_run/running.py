@@ -104,7 +104,7 @@ def run_fleet(
     fresh
         Discard the results in the folder.
     reading
-        Arguments of `imucal.read`, and ``skip_s`` and ``take_s``, for every log.
+        Arguments of `imucal.read` for every log.
     progress
         Called with the numbers of finished logs and of all logs to process.
 

@@ -10,6 +10,9 @@ from typing import TypeVar
 from imucal.errors import Fix, ImucalError, ReadError
 from imucal.findings import Finding
 
+#: Name of standard input in messages.
+STANDARD_INPUT = "standard input"
+
 Refusal = TypeVar("Refusal", bound=ImucalError)
 
 
@@ -31,6 +34,18 @@ def refusing(where: object, text: str) -> Iterator[None]:
         yield
     except OSError as error:
         raise refused(where, f"{text}: {error.strerror or error}") from error
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Add the path of a log to errors whose place is not within it."""
+    try:
+        yield
+    except ReadError as error:
+        # The place may be a file in a folder.
+        if error.place.startswith((str(path), STANDARD_INPUT)):
+            raise
+        raise error.within(path) from error
 
 
 class DamagedError(Exception):

@@ -16,20 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
-from imucal.errors import ChoiceError
 from imucal.findings import Finding
 from imucal.readers.containers.container import gather
-from imucal.readers.contents import LogContents
-from imucal.readers.files import first_bytes, refused
+from imucal.readers.files import first_bytes
 from imucal.readers.isolation import isolated, require
-from imucal.readers.message_logs import OpenLog, describe_topics, read_log
 from imucal.readers.messages.plain import quotient
-from imucal.readers.messages.topics import Column, Topic, held_topic
-from imucal.readers.messages.trees import TIME
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.table import HEAD_ROWS, STAMPS, Column, Table
+from imucal.readers.tables.column_log import ColumnLog
 from imucal.readers.tables.dialects import Dialect
 from imucal.readers.ulog_walk import walk
-from imucal.recording import AXES, Recording
+from imucal.recording import AXES
 
 #: Signature of a ULog.
 ULOG = b"ULog\x01\x12\x35"
@@ -170,62 +167,59 @@ def _records(buffer: bytes, starts: IntArray, form: Any) -> Fields:  # noqa: ANN
     return {name: records[name] * (scale or 1) for name, kind, scale in kinds if not kind.startswith("S")}
 
 
-def read(path: Path, options: ReadOptions) -> Recording:
-    """Read the IMU of a flight controller's log.
+def open_log(path: Path, _: ReadOptions) -> ColumnLog:
+    """Open a flight controller's log, with a table for each instance of an IMU message.
 
-    Raises ReadError if it can't be read or a package is missing; ChoiceError if several message instances
-    fit, or none; DataError without samples.
+    Raises ReadError if it can't be read, if a package is missing, or if it has no IMU messages.
     """
-    log, options = _open(path, options)
-    if not log.topics:
-        expected = f"expected one of {', '.join(PX4)}; of ArduPilot {', '.join(_BOARD)}"
-        how = "log them with the sensor profile of the logger"
-        raise refused(path, f"no IMU messages; {expected}; {how}", ChoiceError)
-    return read_log(log, options)
-
-
-def describe(path: Path, options: ReadOptions) -> LogContents:
-    """Return the IMU messages of a flight controller's log."""
-    log, options = _open(path, options)
-    return LogContents(
-        path=str(path),
-        format=log.form,
-        size_bytes=path.stat().st_size,
-        topics=describe_topics(log, options),
-        duration_s=max((topic.duration_s or 0.0 for topic in log.topics), default=None),
-        compression="none",
-        findings=tuple(log.findings),
-    )
-
-
-def _open(path: Path, options: ReadOptions) -> tuple[OpenLog, ReadOptions]:
-    """Return the topics of a log, and the options with the log's names."""
     if first_bytes(path, len(ULOG)).startswith(ULOG[:4]):
         form, maker, kind, content = "ulog", "PX4", "ULog", ulog_content
     else:
         require(path, "pymavlink", "a log of ArduPilot", extra="ardupilot")
         form, maker, kind, content = "dataflash", "ArduPilot", "ArduPilot", dataflash_content
-    log = isolated(path, content, kind)(path.absolute())
+    found = isolated(path, content, kind)(path.absolute())
     dialect = Dialect(name=maker, headers=(), gyro_unit="rad/s", accel_unit="m/s^2")
-    names = [name for name, _ in log.messages]
-    labels = {f"{name}:{n}": f"{name}:{n}" if names.count(name) > 1 else name for name, n in log.messages}
-    asked = (topic.strip("/") for topic in options.topics)
-    options = replace(options, topics=tuple(labels.get(topic, topic) for topic in asked))
-    topics = [
-        _topic(labels[f"{name}:{n}"], name, fields, dialect, options)
-        for (name, n), fields in log.messages.items()
+    names = [name for name, _ in found.messages]
+    labels = {(name, n): f"{name}:{n}" if names.count(name) > 1 else name for name, n in found.messages}
+    tables = [_table(labels[key], key, fields, dialect) for key, fields in found.messages.items()]
+    fastest = max((table.measured_hz or 0.0 for table in tables), default=0.0)
+    log = ColumnLog(path, {labels[key]: [*fields.values()] for key, fields in found.messages.items()})
+    log.form = form
+    log.compression = "none"
+    log.size_bytes = path.stat().st_size
+    log.findings = [*log_findings(found)]
+    log.advice = (
+        f"no IMU messages; expected one of {', '.join(PX4)}; of ArduPilot {', '.join(_BOARD)}; log them with "
+        "the sensor profile of the logger"
+    )
+    log.tables = [
+        replace(table, weak=(table.measured_hz or 0.0) < _MIN_RATE_SHARE * fastest) for table in tables
     ]
-    fastest = max((topic.rate_hz or 0.0 for topic in topics), default=0.0)
-    topics = [replace(topic, plain=(topic.rate_hz or 0.0) < _MIN_RATE_SHARE * fastest) for topic in topics]
-    return OpenLog(path, form, topics, list(log_findings(log))), options
+    return log
 
 
-def _topic(name: str, message: str, fields: Fields, dialect: Dialect, options: ReadOptions) -> Topic:
-    def kind(field: str, values: NDArray[Any]) -> str:
-        return TIME if field == "timestamp" else values.dtype.name
-
-    columns = {Column(field, field, kind(field, values)): values for field, values in fields.items()}
-    return held_topic(name, message, columns, options, dialect=dialect, sparse=message == "vehicle_imu")
+def _table(name: str, key: tuple[str, int], fields: Fields, dialect: Dialect) -> Table:
+    message, instance = key
+    stamps = fields["timestamp"]
+    types = {field: "time" if field == "timestamp" else v.dtype.name for field, v in fields.items()}
+    return Table(
+        name=name,
+        alias=f"{message}:{instance}",
+        kind=message,
+        place=f"topic {name}",
+        columns=tuple(
+            Column(name=field, type=kind, unit=STAMPS if kind == "time" else None)
+            for field, kind in types.items()
+        ),
+        head=lambda: [values[:HEAD_ROWS] for values in fields.values()],
+        is_topic=True,
+        count=stamps.size,
+        first_ns=int(stamps[0]) if stamps.size else None,
+        last_ns=int(stamps[-1]) if stamps.size else None,
+        dialect=dialect,
+        sparse=message == "vehicle_imu",
+        fields=tuple(f"{field} {kind}" for field, kind in types.items()),
+    )
 
 
 def log_findings(log: FlightLog) -> Iterator[Finding]:

@@ -1,109 +1,116 @@
-"""Logs of messages -> Recording: choose topics, decode them in order, and report losses."""
+"""Logs of messages: files whose topics are tables."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 from pathlib import Path
 
-from imucal.errors import ChoiceError, DataError, ReadError
+from imucal.errors import Fix
 from imucal.findings import Finding
-from imucal.readers.builder import RecordingBuilder
 from imucal.readers.containers.container import Container, Loss, OpenFiles
-from imucal.readers.contents import LogContents, TopicContents
-from imucal.readers.files import refused
-from imucal.readers.message_samples import Job, job_of, sensor_columns
-from imucal.readers.messages import Topic, choose, decode, find_topics, plan_of
-from imucal.readers.messages.loader import Decoding
-from imucal.readers.messages.surroundings import first_frames, read_temperature, temperature_topic
+from imucal.readers.files import naming, refused
+from imucal.readers.memory import fit_into_memory, too_large
+from imucal.readers.messages.loader import Decoding, decode
+from imucal.readers.messages.topics import Topic, find_topics
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables.tabular import SensorColumns, assemble
-from imucal.recording import Recording, Sensor
+from imucal.readers.table import Loaded, Log, Request
 
+#: Time read before and after a part, in s, because log times are later than stamps.
+_MARGIN_S = 10.0
 #: Most topics of a log; finding the sensors of one takes 1 ms.
 _MAX_TOPICS = 5000
-DAMAGE = frozenset({"truncated", "unindexed", "crc", "damaged", "index", "compression", "encapsulation",
-                    "definition"})  # fmt: skip
-
-_MAX_FIELDS = 60
 
 
-@dataclass(frozen=True, slots=True)
-class MessageReader:
-    """Reader of a format whose files contain messages."""
+class MessageLog(Log):
+    """The files of a log of messages."""
 
-    open_files: OpenFiles
-
-    def read(self, path: Path, options: ReadOptions) -> Recording:
-        """Read the IMU topic of a log.
-
-        Raises ReadError if the log can't be read; ChoiceError if several topics fit or none does.
-        """
-        containers, form = self.open_files(path, options.progress)
-        with _opened(containers, path, options, form) as log:
-            return read_log(log, options)
-
-    def describe(self, path: Path, options: ReadOptions) -> LogContents:
-        containers, form = self.open_files(path, options.progress)
-        return describe_logs(containers, path, options, form=form)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class OpenLog:
-    """An open log: the path as given, its format, topics and files."""
-
-    path: Path
-    form: str
-    topics: Sequence[Topic]
-    findings: Sequence[Finding] = ()
-    #: Empty if the topics are in memory.
-    containers: Sequence[Container] = ()
-    #: Sampling rate in the log, in Hz.
-    rate_hz: float | None = None
-
-
-@contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except ReadError as error:
-        # The place may be a file in a folder.
-        if error.place.startswith(str(path)):
+    def __init__(self, path: Path, containers: Sequence[Container], form: str, options: ReadOptions) -> None:
+        super().__init__(path)
+        self.form = form
+        self._containers = containers
+        self._options = options
+        try:
+            _refuse_many_topics(path, containers)
+            with naming(path):
+                topics = find_topics(containers, options)
+        except BaseException:
+            self.close()
             raise
-        raise error.within(path) from error
+        self.tables = [topic.table(containers, options) for topic in topics]
+        self._topics = dict(zip(self.tables, topics, strict=True))
+        self.findings = [finding for container in containers for finding in container.findings]
+        self.size_bytes = sum(container.size for container in containers)
+        self.compression = ", ".join(sorted({container.compression for container in containers}))
+        starts = [one.start_ns for one in containers if one.start_ns is not None]
+        ends = [one.end_ns for one in containers if one.end_ns is not None]
+        self.start_ns = min(starts, default=None)
+        self.end_ns = max(ends, default=None)
+
+    def close(self) -> None:
+        for container in self._containers:
+            container.close()
+
+    def read(self, requests: Sequence[Request]) -> list[Loaded]:
+        wanted = [self._numbers(request) for request in requests]
+        topics = [self._topics[request.table] for request in requests]
+        with naming(self.path):
+            streams = [
+                topic.stream([topic.numbers[index] for index in indices])
+                for topic, indices in zip(topics, wanted, strict=True)
+            ]
+            part = self._part(requests)
+            decodings = decode(self._containers, streams, progress=self._options.progress, between_ns=part)
+        if part is not None:
+            firsts = [int(one.columns[0][0]) for one in decodings if one.columns[0].size]
+            self.left_out_s = (min(firsts, default=part[0]) - self._first_ns(requests)) / 1e9
+        return [
+            self._loaded(request, topic, indices, decoding)
+            for request, topic, indices, decoding in zip(requests, topics, wanted, decodings, strict=True)
+        ]
+
+    def _part(self, requests: Sequence[Request]) -> tuple[int, int] | None:
+        """Return the times of the part to read, in ns, if the whole does not fit into memory.
+
+        Raises DataError if the part does not fit either, or if none is asked for.
+        """
+        values = sum((request.table.count or 0) * (1 + len(request.columns)) for request in requests)
+        if fit_into_memory(values):
+            return None
+        first_ns = self._first_ns(requests)
+        duration_s = max(request.table.duration_s or 0.0 for request in requests)
+        start_s = max(self._options.skip_s - _MARGIN_S, 0.0)
+        end_s = min(self._options.end_s + _MARGIN_S, duration_s + 1)
+        share = max(end_s - start_s, 0.0) / duration_s if duration_s else 1.0
+        if not self._options.is_part or not fit_into_memory(round(share * values)):
+            fixes = [Fix("read a part of it", "take_s", "TIME"), Fix("", "skip_s", "TIME")]
+            raise too_large(self.path, values, *fixes)
+        return first_ns + round(start_s * 1e9), first_ns + round(end_s * 1e9)
+
+    def _first_ns(self, requests: Sequence[Request]) -> int:
+        return min((one.table.first_ns for one in requests if one.table.first_ns is not None), default=0)
+
+    def _numbers(self, request: Request) -> list[int]:
+        """Return the indices of the columns to decode; the log time is always decoded."""
+        indices = [*request.columns, *([request.rows[0]] if request.rows else [])]
+        return list(dict.fromkeys(index for index in indices if index != request.table.log_time))
+
+    def _loaded(self, request: Request, topic: Topic, indices: Sequence[int], decoding: Decoding) -> Loaded:
+        log_ns, *columns = decoding.columns
+        findings = _loss_findings(decoding.losses, decoding.missing) + _count_findings(topic, decoding)
+        if not log_ns.size:
+            texts = [loss.text for loss in decoding.losses] + [one.text for one in self.findings + findings]
+            why = next(iter(texts), "the log has none")
+            raise refused(self.path, f"no message of topic {topic.name} could be read: {why}")
+        found = dict(zip(indices, columns, strict=True))
+        found[len(topic.numbers)] = log_ns
+        if request.rows is not None:
+            keep = found[request.rows[0]] == float(request.rows[1])
+            found = {index: column[keep] for index, column in found.items()}
+        return Loaded(found, findings)
 
 
-def describe_logs(
-    containers: Sequence[Container], path: Path, options: ReadOptions, *, form: str
-) -> LogContents:
-    """Return the topics of a log's files, and close them."""
-    with _opened(containers, path, options, form) as log:
-        topics = describe_topics(log, options)
-    starts = [c.start_ns for c in containers if c.start_ns is not None]
-    ends = [c.end_ns for c in containers if c.end_ns is not None]
-    return LogContents(
-        path=str(path),
-        format=form,
-        size_bytes=sum(container.size for container in containers),
-        topics=topics,
-        start_ns=min(starts, default=None),
-        duration_s=(max(ends) - min(starts)) / 1e9 if starts and ends else None,
-        compression=", ".join(sorted({container.compression for container in containers})),
-        findings=tuple(log.findings),
-    )
-
-
-@contextmanager
-def _opened(
-    containers: Sequence[Container], path: Path, options: ReadOptions, form: str
-) -> Iterator[OpenLog]:
-    with ExitStack() as closed:
-        for container in containers:
-            closed.callback(container.close)
-        _refuse_many_topics(path, containers)
-        with _naming(path):
-            topics = find_topics(containers, options)
-        findings = [finding for container in containers for finding in container.findings]
-        yield OpenLog(path, form, topics, findings, containers)
+def open_messages(path: Path, options: ReadOptions, open_files: OpenFiles) -> MessageLog:
+    """Open a log whose format has the function `open_files`; raises ReadError if it can't be read."""
+    containers, form = open_files(path, options.progress)
+    return MessageLog(path, containers, form, options)
 
 
 def _refuse_many_topics(path: Path, containers: Sequence[Container]) -> None:
@@ -113,112 +120,7 @@ def _refuse_many_topics(path: Path, containers: Sequence[Container]) -> None:
         raise refused(path, f"it contains {n} topics; expected at most {_MAX_TOPICS}; {way}")
 
 
-def describe_topics(log: OpenLog, options: ReadOptions) -> tuple[TopicContents, ...]:
-    """Describe all topics of a log."""
-    return tuple(_contents(log.containers, topic, options) for topic in log.topics)
-
-
-def _contents(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> TopicContents:
-    contents = TopicContents(
-        name=topic.name,
-        type=topic.type,
-        count=topic.count,
-        rate_hz=topic.rate_hz,
-        duration_s=topic.duration_s,
-        fields=tuple(map(str, topic.leaves[:_MAX_FIELDS])),
-    )
-    if not topic.sensors or topic.count == 0:
-        return contents.refused(ReadError(topic.reason, fixes=topic.fixes)) if topic.reason else contents
-    try:
-        plan, alive = plan_of(containers, topic, options)
-    except ReadError as error:
-        return contents.refused(error)
-    silent = [one.triad.sensor for one in plan.sensors if one.triad.sensor not in alive]
-    note = "read only if it is named" if topic.plain else ""
-    if silent:
-        note = " and ".join(silent) + " constant: no data"
-    sensors = tuple(sensor for sensor in topic.sensors if sensor in alive)
-    return replace(contents, sensors=sensors, note=note)
-
-
-def _live(containers: Sequence[Container], topic: Topic, options: ReadOptions) -> frozenset[Sensor]:
-    """Return the sensors whose samples change; all if the columns are ambiguous."""
-    try:
-        return plan_of(containers, topic, options)[1]
-    except ChoiceError:
-        return frozenset(topic.sensors)
-
-
-def read_log(log: OpenLog, options: ReadOptions) -> Recording:
-    """Read the IMU topics of an open log."""
-    path, containers = log.path, log.containers
-    with _naming(path):
-        choices = choose(path, log.topics, options, lambda topic: _live(containers, topic, options))
-        jobs = [job_of(containers, choice, options) for choice in choices]
-        decodings = _decoded(log, jobs, options)
-    work = RecordingBuilder(path=str(path), format=log.form, options=options, rate_hz=log.rate_hz)
-    work.findings += log.findings
-    work.decisions += [("topic", f"{one.topic.name}: {one.how}") for one in choices if not one.topic.file]
-    for frame in first_frames(containers, [choice.topic for choice in choices]):
-        work.decide("frame", frame, value=frame)
-    sensors = _sensors(work, jobs, decodings)
-    where = f"{path}: {jobs[0].topic.where}" if len(jobs) == 1 and not jobs[0].topic.file else ""
-    with _naming(path):
-        assemble(work, [job.plan for job in jobs], sensors, where=where)
-    _add_temperature(work, containers, log.topics, jobs[0].topic)
-    _require_samples(work, path, options)
-    if jobs[0].topic.file:
-        return work.build(topics=[name for job in jobs for name in job.plan.topics])
-    return work.build(
-        topics=[choice.topic.name for choice in choices],
-        message_types=[choice.topic.type for choice in choices],
-    )
-
-
-def _sensors(
-    work: RecordingBuilder, jobs: Sequence[Job], decodings: Sequence[Decoding]
-) -> list[SensorColumns]:
-    sensors: list[SensorColumns] = []
-    for job, decoding in zip(jobs, decodings, strict=True):
-        work.findings += _loss_findings(decoding.losses, decoding.missing)
-        work.findings += _count_findings(job.topic, decoding)
-        if not decoding.columns[0].size:
-            seen = [loss.text for loss in decoding.losses] + [finding.text for finding in work.findings]
-            why = next(iter(seen), "the log has none")
-            raise refused(work.path, f"no message of topic {job.topic.name} could be read: {why}")
-        sensors += sensor_columns(work, job, decoding.columns)
-    # Another topic may contain the missing sensor.
-    found = {columns.plan.triad.sensor.short for columns in sensors if len(jobs) > 1}
-    work.findings += [one for job in jobs for one in job.plan.findings if one.axis not in found]
-    return sensors
-
-
-def _decoded(log: OpenLog, jobs: Sequence[Job], options: ReadOptions) -> Sequence[Decoding]:
-    if not log.containers:
-        return [Decoding([job.topic.held[index] for index in job.indices], [], None) for job in jobs]
-    streams = [job.topic.stream(job.columns) for job in jobs]
-    return decode(log.containers, streams, limit=options.memory_limit, progress=options.progress)
-
-
-def _add_temperature(
-    work: RecordingBuilder, containers: Sequence[Container], topics: Sequence[Topic], imu: Topic
-) -> None:
-    if work.temperature is None and (topic := temperature_topic(topics, imu.name)):
-        work.temperature = read_temperature(containers, topic)
-        if work.temperature:
-            work.decisions.append(("temperature", f"{topic.name}: the only one besides the IMU's"))
-
-
-def _require_samples(work: RecordingBuilder, path: Path, options: ReadOptions) -> None:
-    damage = [finding for finding in work.findings if finding.code in DAMAGE]
-    if options.strict and damage:
-        raise refused(path, f"the log is damaged, and strict reading was requested: {damage[0].text}")
-    if not work.series:
-        texts = "; ".join(finding.text for finding in work.findings) or "no data"
-        raise refused(path, f"no sensor has samples that change: {texts}", DataError)
-
-
-def _loss_findings(losses: Sequence[Loss], missing: int | None = None) -> list[Finding]:
+def _loss_findings(losses: Sequence[Loss], missing: int | None) -> list[Finding]:
     """Return one finding per kind of loss; `missing` messages are in unreadable parts."""
     findings = []
     unread = {loss.code for loss in losses if loss.messages is None}

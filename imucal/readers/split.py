@@ -6,16 +6,19 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
+
 from imucal.clock import Clock, Segment
-from imucal.errors import ChoiceError, Fix
+from imucal.errors import ChoiceError, Fix, ImucalError
 from imucal.findings import Finding
+from imucal.readers.assemble import assemble
+from imucal.readers.choose import candidates_of, whole
 from imucal.readers.containers.rosbag2_folder import natural
-from imucal.readers.formats import detect, load
+from imucal.readers.formats import detect
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.store import join_rows
-from imucal.readers.tables.text_table import read_many
+from imucal.readers.reading import read_one
+from imucal.readers.tables.text_table import ONLY_TIMES, TextLog
 from imucal.recording import AxisSeries, Recording, Temperature, span_ns
-from imucal.resources import column_limit
 
 #: Longest pause between two parts, in s.
 _MAX_PAUSE_S = 10.0
@@ -100,13 +103,10 @@ def read_all(paths: Sequence[Path], options: ReadOptions) -> Recording:
     """
     ordered = sorted(paths, key=natural)
     formats = [detect(path) for path in ordered]
-    if all(entry.name == "text" for entry in formats) and (found := read_many(ordered, options)):
-        # One file per sensor.
-        return _named(found, ordered)
-    # The other half is for the joined recording.
-    limit = options.memory_limit or column_limit()
-    part_options = replace(options, memory_limit=max(1, limit // (2 * len(ordered))))
-    parts = [load(f).read(path, part_options) for path, f in zip(ordered, formats, strict=True)]
+    if all(entry.name == "text" for entry in formats) and (found := _of_sensors(ordered, options)):
+        return _part(_named(found, ordered), options)
+    whole_parts = replace(options, skip_s=0.0, take_s=None)
+    parts = [read_one(path, whole_parts) for path in ordered]
     spans = [span for part in parts if (span := span_ns(part.series))]
     if len(spans) == len(parts):
         order = sorted(range(len(parts)), key=lambda i: spans[i][0])
@@ -115,7 +115,31 @@ def read_all(paths: Sequence[Path], options: ReadOptions) -> Recording:
     if problem and not options.join:
         raise _refusal(ordered, parts, problem)
     _refuse_others(ordered, parts)
-    return _named(_joined(ordered, parts, problem, limit // 2), ordered)
+    return _part(_named(_joined(ordered, parts, problem), ordered), options)
+
+
+def _part(recording: Recording, options: ReadOptions) -> Recording:
+    """Return the requested part of a joined recording."""
+    return recording.between(options.skip_s, options.end_s) if options.is_part else recording
+
+
+def _of_sensors(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
+    """Read texts with one sensor each as one recording; None for other texts.
+
+    Raises ChoiceError if one contains only times.
+    """
+    with TextLog(Path(", ".join(map(str, paths))), options) as log:
+        try:
+            log.open_files(paths)
+            choices = [whole(candidate, "one file per sensor") for candidate in candidates_of(log, options)]
+        except ImucalError as error:
+            if error.code == ONLY_TIMES:
+                raise
+            return None
+        sensors = [sensor.triad.sensor for choice in choices for sensor in choice.plan.sensors]
+        if not len(sensors) == len(set(sensors)) == len(paths):
+            return None
+        return assemble(log, choices, options)
 
 
 def _named(recording: Recording, paths: Sequence[Path]) -> Recording:
@@ -178,15 +202,15 @@ def _refuse_others(paths: Sequence[Path], parts: Sequence[Recording]) -> None:
                 raise ChoiceError(text, place=path, fix=Fix("read one log at a time"))
 
 
-def _joined(paths: Sequence[Path], parts: Sequence[Recording], problem: str, limit: int) -> Recording:
+def _joined(paths: Sequence[Path], parts: Sequence[Recording], problem: str) -> Recording:
     """Join recordings axis by axis; a `problem` that the user overrides becomes a warning."""
     columns: list[tuple[AxisSeries, ...]] = list(zip(*(part.series for part in parts), strict=True))
     # Axes that share clocks share the joined clock.
     clocks: dict[tuple[int, ...], Clock] = {}
     in_order = not overlap([path.name for path in paths], parts)
-    rows = join_rows([[series.samples for series in column] for column in columns], limit=limit)
     series = []
-    for column, samples in zip(columns, rows, strict=True):
+    for column in columns:
+        samples = np.concatenate([one.samples for one in column])
         own = [one.clock for one in column]
         clock = clocks.setdefault(tuple(map(id, own)), _clock(own, in_order=in_order))
         series.append(replace(column[0], samples=samples, clock=clock))
@@ -214,8 +238,7 @@ def _temperature(
         return None
     own = [one.clock for one in found]
     clock = clocks.get(tuple(map(id, own))) or _clock(own, in_order=in_order)
-    (samples,) = join_rows([[one.samples for one in found]])
-    return Temperature(samples=samples, clock=clock)
+    return Temperature(samples=np.concatenate([one.samples for one in found]), clock=clock)
 
 
 def _clock(clocks: Sequence[Clock], *, in_order: bool) -> Clock:

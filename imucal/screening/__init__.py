@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import TypeAlias
 
-from imucal.arrays import release
 from imucal.findings import Finding
 from imucal.processes import findings_or_why_not, side_by_side, try_side_work
 from imucal.recording import AxisSeries, Recording
@@ -56,9 +55,7 @@ def screen_values(recording: Recording, *, workers: int = 1) -> tuple[Finding, .
 
     def made(series: AxisSeries) -> tuple[Profile | None, tuple[Finding, ...]]:
         what = "The axis can't be screened"
-        judged = try_side_work(partial(profile, series), None, what=what, code=_FAILED, axis=series.name)
-        release(series.samples)
-        return judged
+        return try_side_work(partial(profile, series), None, what=what, code=_FAILED, axis=series.name)
 
     made_of = list(side_by_side(made, recording.series, workers=workers))
     profiles = [one for one, _ in made_of if one]

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.reading import read_one as read
 from imucal.readers.tables.text_source import open_text
-from imucal.readers.tables.text_table import read
 
 HEADER = (
     "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"

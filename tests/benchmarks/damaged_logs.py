@@ -28,7 +28,7 @@ import scipy.io
 
 from imucal.errors import ImucalError
 from imucal.readers import isolation, read
-from imucal.readers.message_logs import DAMAGE
+from imucal.readers.assemble import DAMAGE
 from imucal.recording import Recording
 from tests.readers.logs import Samples, imu_messages, samples, write_bag, write_db3, write_mcap
 from tests.readers.tables.hdf5_logs import write_hdf5

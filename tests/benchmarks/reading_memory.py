@@ -14,7 +14,7 @@ Missing files are created (in a temporary folder that is deleted, or in `--folde
 
 Each job runs in a separate process, with the default limit and with ``IMUCAL_MEMORY=500M``. The script prints
 CPU and wall time, the peak memory of the job and its children, and the peak of memory without a file. Memory
-is the proportional set size, sampled every 20 ms, which includes cached pages of temporary files.
+is the proportional set size, sampled every 20 ms.
 """
 
 import argparse

@@ -3,10 +3,10 @@
     python tests/benchmarks/same_recordings.py write FOLDER recordings.json
     python tests/benchmarks/same_recordings.py compare before.json after.json
 
-The files are the sample logs, real recordings (in the folder IMUCAL_REAL_DATA), every format that the tests write, and
-damaged copies of these; FOLDER keeps the written ones, so that both versions read the same bytes. Samples,
-clocks, units, temperature, findings and the texts of refusals are compared. The exit code is 1 if a recording
-differs, not if only texts do.
+The files are the sample logs, real recordings (in the folder IMUCAL_REAL_DATA), every format that the tests
+write, and damaged copies of these; FOLDER keeps the written ones, so that both versions read the same bytes.
+Samples, clocks, units, temperature, findings and the texts of refusals are compared. The exit code is 1 if a
+recording differs, not if only texts do.
 """
 
 import hashlib
@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from imucal.errors import ImucalError
+from imucal.errors import ChoiceError, ImucalError
 from imucal.readers import describe, read
 from imucal.recording import Recording
 from tests.readers.logs import CONTAINERS, samples
@@ -89,22 +89,31 @@ def cases(folder: Path) -> Iterator[Case]:
         paths = tuple(DATA / name for name in names)
         if all(path.exists() for path in paths):
             yield Case(f"{' '.join(names)} {sorted(options)}", paths, options)
+    yield from made_cases(folder)
+
+
+def made_cases(folder: Path) -> Iterator[Case]:
+    """Yield the files that the tests write, and damaged copies of all files."""
+    logs = [path for root in (SAMPLE_LOGS, DATA) for path in sorted(root.rglob("*")) if is_log(path)]
     written = folder / "written"
     if not written.exists():
         write_all(written)
-    for path in sorted(written.rglob("*")):
-        if path.is_file():
-            yield Case(str(path.relative_to(written)), (path,))
+    for path in files_in(written):
+        yield Case(str(path.relative_to(written)), (path,))
     for style in STYLES:
         place = written / "styles" / style.name.replace(" ", "_").replace("/", "_")
         yield Case(f"style {style.name} with options", (place / style.file,), dict(style.options))
     damaged = folder / "damaged"
     if not damaged.exists():
-        sources = [path for path in written.rglob("*") if path.is_file() and "styles" not in path.parts]
-        damage_all([*sources, *(path for path in logs + real if path.stat().st_size < LARGE)], damaged)
-    for path in sorted(damaged.rglob("*")):
-        if path.is_file():
-            yield Case(f"damaged {path.relative_to(damaged)}", (path,))
+        sources = [path for path in files_in(written) if "styles" not in path.parts]
+        damage_all([*sources, *(path for path in logs if path.stat().st_size < LARGE)], damaged)
+    for path in files_in(damaged):
+        yield Case(f"damaged {path.relative_to(damaged)}", (path,))
+
+
+def files_in(folder: Path) -> list[Path]:
+    """Return all files below a folder."""
+    return [path for path in sorted(folder.rglob("*")) if path.is_file()]
 
 
 def is_log(path: Path) -> bool:
@@ -141,7 +150,9 @@ def write_typed(folder: Path) -> None:
     np.savez(folder / "two_lengths.npz", timestamp_ns=stamps, gyro=gyro, accel=accel, magnet=gyro[:100])
     np.savez(folder / "scaled.npz", fs=200.0, gyro=gyro, accel=accel)
     np.save(folder / "log.npy", np.column_stack([stamps * 1e-9, truth.all]))
-    scipy.io.savemat(folder / "log.mat", {"imu": {"t": (stamps - stamps[0]) * 1e-9, "gyro": gyro, "acc": accel}})
+    scipy.io.savemat(
+        folder / "log.mat", {"imu": {"t": (stamps - stamps[0]) * 1e-9, "gyro": gyro, "acc": accel}}
+    )
     try:
         import h5py
     except ImportError:
@@ -204,7 +215,8 @@ def outcome(case: Case) -> dict[str, Any]:
         return summary(read(*case.paths, **case.options))
     except ImucalError as error:
         arguments = [fix.argument for part in error.parts() for fix in part.fixes]
-        return {"error": type(error).__name__, "text": str(error), "arguments": arguments}
+        kind = "ChoiceError" if isinstance(error, ChoiceError) else type(error).__name__
+        return {"error": kind, "text": str(error), "arguments": arguments}
     except Exception:  # noqa: BLE001 - every other error is a fault that the comparison shows
         return {"error": "fault", "text": traceback.format_exc()[-600:], "arguments": []}
 

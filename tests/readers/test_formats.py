@@ -67,7 +67,7 @@ def _missing_in_module(entry: Format) -> Iterator[str]:
         return
     if not module.__doc__:
         yield f"{entry.module} has no docstring."
-    for name in ("open_files",) if entry.messages else ("read", "describe"):
+    for name in ("open_files",) if entry.messages else ("open_log",):
         function = getattr(module, name, None)
         if function is None:
             yield f"{entry.module} has no function {name}."

@@ -247,18 +247,6 @@ def test_a_gyroscope_and_an_accelerometer_of_different_times_are_refused(tmp_pat
     assert read(paths[0]).series[0].n == 900
 
 
-def test_large_joined_logs_are_in_a_temporary_file(tmp_path: Path) -> None:
-    """Above the memory limit the joined samples are memory-mapped and equal."""
-    pieces = [part(300 * i, 300 * i + 300) for i in range(3)]
-    paths = [write_mcap(tmp_path / f"log_{i}.mcap", imu_messages(p)) for i, p in enumerate(pieces)]
-    recording = read(*paths, memory_limit=10_000)
-    assert np.array_equal(rows(recording), TRUTH.all)
-    base = recording.series[0].samples
-    while isinstance(base.base, np.ndarray):
-        base = base.base
-    assert type(base.base).__name__ in {"mmap", "memoryview"}
-
-
 @pytest.mark.parametrize(
     ("name", "series"),
     [

@@ -2,7 +2,6 @@
 
 import gzip
 import json
-import mmap
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -11,10 +10,10 @@ import numpy as np
 import pytest
 
 from imucal.errors import ReadError
-from imucal.readers import describe, isolation, read
+from imucal.readers import describe, description, isolation, read
 from imucal.readers.tables import text_table
+from imucal.readers.tables.notes import Notes
 from imucal.readers.tables.npz import npz_arrays
-from imucal.readers.tables.passed import Notes
 from imucal.readers.tables.text_source import TextSource, open_text
 from tests.cli.run import run
 from tests.raising import raises
@@ -51,7 +50,7 @@ def test_the_head_describes_a_large_compressed_text(
     complete = describe(path)
     assert complete.topics[0].count == 3000
     assert complete.topics[0].rate_hz == pytest.approx(100)
-    monkeypatch.setattr(text_table, "_SMALL", 300_000)
+    monkeypatch.setattr(description, "_SMALL", 300_000)
     part = describe(path)
     assert (part.topics[0].count, part.duration_s) == (None, None)
     assert part.topics[0].rate_hz == pytest.approx(100)
@@ -65,7 +64,7 @@ def test_unpacking_of_a_text_stops_at_the_limit(tmp_path: Path, monkeypatch: pyt
     """The text is twenty times longer than the limit."""
     path = tmp_path / "log.csv.gz"
     path.write_bytes(gzip.compress(table() + b"31.0,0,0,0,0,0,9.8\n" * 1_000_000, compresslevel=1))
-    monkeypatch.setattr(text_table, "_SMALL", 1_000_000)
+    monkeypatch.setattr(description, "_SMALL", 1_000_000)
     taken = []
 
     def watched(path: Path, **options: Any) -> TextSource:  # noqa: ANN401 - those of `open_text`
@@ -75,18 +74,6 @@ def test_unpacking_of_a_text_stops_at_the_limit(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(text_table, "open_text", watched)
     assert describe(path).topics[0].count is None
     assert 1_000_000 < max(source.passed for source in taken) < 12_000_000
-
-
-def test_arrays_above_the_limit_are_in_temporary_files(tmp_path: Path) -> None:
-    """The samples of the recording are equal."""
-    np.savez_compressed(tmp_path / "log.npz", **arrays())  # type: ignore[arg-type]
-    held, mapped = (read(tmp_path / "log.npz", memory_limit=limit) for limit in (None, 1000))
-    for recording in (held, mapped):
-        assert np.array_equal(np.array([series.samples for series in recording.series]).T, TRUTH.all)
-    base: Any = mapped.series[0].samples
-    while isinstance(base, np.ndarray) and base.base is not None:
-        base = base.base
-    assert isinstance(base.obj if isinstance(base, memoryview) else base, mmap.mmap)
 
 
 def test_a_member_with_a_huge_declared_size_is_refused(tmp_path: Path) -> None:
@@ -143,23 +130,15 @@ def test_a_file_that_unpacks_to_more_than_memory_is_refused(
     assert read(tmp_path / "small.parquet").series[0].n == 3000
 
 
-def test_large_arrays_of_an_npz_file_are_in_temporary_files(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_arrays_of_an_npz_file_are_exact(tmp_path: Path) -> None:
     """Compressed and uncompressed files work, in either memory order. A damaged member fails its checksum."""
     matrix = np.asfortranarray(TRUTH.all)
     for save in (np.savez, np.savez_compressed):
         save(tmp_path / "log.npz", m=matrix, t=TIMES, one=np.float64(7))
-        held = npz_arrays(tmp_path / "log.npz", Notes())
-        monkeypatch.setenv("IMUCAL_MEMORY", "1k")
-        mapped = npz_arrays(tmp_path / "log.npz", Notes())
-        monkeypatch.delenv("IMUCAL_MEMORY")
-        for found in (held, mapped):
-            assert np.array_equal(found["m"], matrix)
-            assert np.array_equal(found["t"], TIMES)
-            assert found["one"] == 7
-        assert held["t"].flags.owndata or held["t"].base.flags.owndata  # type: ignore[union-attr]
-        assert not mapped["t"].flags.owndata
+        found = npz_arrays(tmp_path / "log.npz", Notes())
+        assert np.array_equal(found["m"], matrix)
+        assert np.array_equal(found["t"], TIMES)
+        assert found["one"] == 7
     data = bytearray((tmp_path / "log.npz").read_bytes())
     data[len(data) // 2] ^= 1
     (tmp_path / "log.npz").write_bytes(data)

@@ -14,9 +14,9 @@ from imucal.readers import describe, message_logs, read
 from imucal.readers.containers import Channel, Loss
 from imucal.readers.containers.mcap import McapFile
 from imucal.readers.message_logs import _loss_findings
-from imucal.readers.message_samples import in_time_order
+from imucal.readers.messages.order import sort_by_log_time
 from imucal.readers.messages.topics import Topic
-from imucal.readers.store import Room
+from imucal.readers.read_options import ReadOptions
 from tests.readers.logs import TOPIC, imu_messages, samples, write_db3, write_mcap
 
 
@@ -27,11 +27,11 @@ def test_losses_of_one_kind_become_one_finding() -> None:
         Loss(code="index", text="a bad index"),
         Loss(code="crc", text="another", messages=4),
     ]
-    assert [(found.level, found.code, found.text) for found in _loss_findings(losses)] == [
+    assert [(found.level, found.code, found.text) for found in _loss_findings(losses, None)] == [
         ("warning", "crc", "The log is damaged in 2 places: a bad sum; about 7 messages are lost."),
         ("warning", "index", "The log is damaged in one place: a bad index; no message is lost."),
     ]
-    assert _loss_findings([]) == []
+    assert _loss_findings([], None) == []
 
 
 @pytest.mark.parametrize(
@@ -97,8 +97,8 @@ def test_the_index_gives_count_duration_and_rate_of_a_topic(
     rate: float | None,
 ) -> None:
     """If a file lacks a count, the total is unknown. Files without times are ignored."""
-    found = topic(*known)
-    assert (found.count, found.duration_s, found.rate_hz) == (count, duration, rate)
+    found = topic(*known).table([], ReadOptions())
+    assert (found.count, found.duration_s, found.measured_hz) == (count, duration, rate)
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ def test_samples_are_sorted_by_log_time(stamps: list[int], log: list[int], rows:
     """Samples keep their order if sorting would increase the number of stamps out of order."""
     times = np.array(stamps), np.array(log)
     samples = [np.arange(4.0), np.arange(4.0)]
-    (found,) = in_time_order(*times, samples, Room())
+    (found,) = sort_by_log_time(*times, [*times, *samples])
     assert (found.level, found.code) == ("info", "log-out-of-order")
     kept = rows == [0, 1, 2, 3]
     assert found.text == (
@@ -129,13 +129,13 @@ def test_samples_are_sorted_by_log_time(stamps: list[int], log: list[int], rows:
 def test_a_log_in_order_is_not_changed() -> None:
     """The stamps may equal the log time, and two samples may have equal stamps."""
     times = np.array([1, 1, 2, 2])
-    assert in_time_order(times, times, [np.arange(4.0)], Room()) == []
+    assert sort_by_log_time(times, times, [times, np.arange(4.0)]) == []
 
 
 def test_samples_without_stamps_are_sorted_once() -> None:
     """The log time is used as their stamps."""
     times, samples = np.array([1, 3, 2, 4]), np.arange(4.0)
-    assert len(in_time_order(times, times, [samples], Room())) == 1
+    assert len(sort_by_log_time(times, times, [times, samples])) == 1
     assert (times.tolist(), samples.tolist()) == ([1, 2, 3, 4], [0, 2, 1, 3])
 
 

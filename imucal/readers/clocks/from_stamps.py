@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import BoolArray, FloatArray, IntArray, blocks, median
+from imucal.arrays import BoolArray, FloatArray, IntArray, median, never_changes
 from imucal.clock import Clock, Segment
 from imucal.errors import ChoiceError, DataError, Fix
 from imucal.findings import Finding
@@ -23,7 +23,6 @@ from imucal.readers.clocks.placing import (
     step_statistics,
 )
 from imucal.readers.fixes import GIVE_RATE
-from imucal.readers.store import Room, count, equal, is_constant
 from imucal.recording import gap_findings
 
 LOG_TIME = "log time"
@@ -148,41 +147,29 @@ def rate_notes(measured: float, given: float | None) -> list[Finding]:
     return [Finding("warning", "rate-given", text)]
 
 
-def repeats(
-    stamps: IntArray, rows: Sequence[NDArray[Any]] | FloatArray, room: Room | None = None
-) -> BoolArray | None:
+def repeats(stamps: IntArray, rows: Sequence[NDArray[Any]] | FloatArray) -> BoolArray | None:
     """Return which samples repeat the previous stamp and values, shape (n,); None if none was sent twice.
 
     `stamps` and each of the `rows` have shape (n,). Zero stamps are ignored. Equal values are due to the
     sensor's resolution if they are nearly as frequent between different stamps, or if at most half of the
     samples with equal stamps have them.
     """
-    equal_stamps = 0
-
-    def of(part: slice) -> BoolArray:
-        nonlocal equal_stamps
-        first = max(part.start, 1)
-        here, before = stamps[first : part.stop], stamps[first - 1 : part.stop - 1]
-        at = np.flatnonzero((here == before) & (here != 0)) + first
-        equal_stamps += at.size
-        for values in rows:
-            at = at[values[at] == values[at - 1]]
-        same = np.zeros(part.stop - part.start, dtype=np.bool_)
-        same[at - part.start] = True
-        return same
-
-    found = (room or Room()).made(stamps.size, np.bool_, of, stamps, *rows)
-    twice = count(found)
-    if 2 * twice <= equal_stamps:
+    at = np.flatnonzero((stamps[1:] == stamps[:-1]) & (stamps[1:] != 0)) + 1
+    equal_stamps = at.size
+    for values in rows:
+        at = at[values[at] == values[at - 1]]
+    if 2 * at.size <= equal_stamps:
         return None
+    found = np.zeros(stamps.size, dtype=np.bool_)
+    found[at] = True
     some = [np.diff(column[:_MAX_EXAMINED]) for column in (stamps, *rows)]
     usual = np.all([steps == 0 for steps in some[1:]], axis=0)[some[0] != 0]
-    return None if usual.size and 2 * usual.mean() > twice / equal_stamps else found
+    return None if usual.size and 2 * usual.mean() > at.size / equal_stamps else found
 
 
 def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:
     """Compare header stamps with log time: delay and relative rate of the clocks."""
-    if stamps.size < 2 or equal(stamps, log) or not any(log[part].any() for part in blocks(log.size, log)):
+    if stamps.size < 2 or np.array_equal(stamps, log) or not log.any():
         return []
     step = max(stamps.size // _MAX_EXAMINED, 1)
     some, recorded = stamps[::step], log[::step]
@@ -221,7 +208,6 @@ def clock_from_stamps(
     log_ns: IntArray | None = None,
     rate_hz: float | None = None,
     repeated: BoolArray | None = None,
-    room: Room | None = None,
 ) -> ClockReading:
     """Return the clock of samples from their stamps in ns, int64, shape (n,), in the order of the log.
 
@@ -233,7 +219,7 @@ def clock_from_stamps(
     given.
     """
     try:
-        return _Stamps(stamps_ns, source, log_ns, room or Room()).read(rate_hz, repeated)
+        return _Stamps(stamps_ns, source, log_ns).read(rate_hz, repeated)
     except (ChoiceError, DataError) as error:
         if not where:
             raise
@@ -241,18 +227,17 @@ def clock_from_stamps(
 
 
 class _Stamps:
-    def __init__(self, stamps: IntArray, source: str, log_ns: IntArray | None, room: Room) -> None:
+    def __init__(self, stamps: IntArray, source: str, log_ns: IntArray | None) -> None:
         self.stamps = np.ascontiguousarray(stamps, dtype=np.int64)
         self.source = source
         self.log_ns = log_ns
-        self.room = room
         self.order: IntArray | None = None
         self.notes: list[Finding] = []
 
     def read(self, rate_hz: float | None, repeated: BoolArray | None) -> ClockReading:
         if not self.stamps.size:
             raise DataError(f"no samples to take the {self.source} of; expected at least two")
-        if repeated is not None and (twice := count(repeated)):
+        if repeated is not None and (twice := int(repeated.sum())):
             self._drop(repeated, twice)
         self._replace_zeros()
         self._keep_one_rate(rate_hz)
@@ -274,10 +259,9 @@ class _Stamps:
     def _drop(self, repeated: BoolArray, twice: int) -> None:
         text = f"{twice} of {self.stamps.size} samples repeat the previous time stamp and values"
         self.notes.append(Finding("warning", "duplicate-stamps", f"{text}; they are dropped."))
-        keep = self.room.made(repeated.size, np.bool_, lambda part: ~repeated[part], repeated)
-        self.order = self.room.places(keep)
-        self.stamps = self.room.chosen(self.stamps, keep)
-        self.log_ns = self.room.chosen(self.log_ns, keep) if self.log_ns is not None else None
+        self.order = np.flatnonzero(~repeated)
+        self.stamps = self.stamps[self.order]
+        self.log_ns = self.log_ns[self.order] if self.log_ns is not None else None
 
     def _keep_one_rate(self, rate_hz: float | None) -> None:
         while (change := rate_change(self.stamps)) is not None:
@@ -295,26 +279,23 @@ class _Stamps:
                 f"To read the other part, give its rate, {other:.5g} Hz. Perhaps two sensors share one name."
             )
             self.notes.append(Finding("warning", "rate-changes", text, advice))
-            keep = self.room.made(n, np.bool_, lambda _: False)
-            keep[part] = True
-            kept = self.room.places(keep)
-            self.order = kept if self.order is None else self.room.taken(self.order, kept)
+            self.order = np.arange(part.start, part.stop) if self.order is None else self.order[part]
             self.stamps = self.stamps[part]
             self.log_ns = self.log_ns[part] if self.log_ns is not None else None
 
     def _replace_zeros(self) -> None:
         """Use log time if stamps are constant or often zero; interpolate a few zeros."""
         stamps, n = self.stamps, self.stamps.size
-        zeros = n - sum(int(np.count_nonzero(stamps[part])) for part in blocks(n, stamps))
+        zeros = n - int(np.count_nonzero(stamps))
         if 0 < zeros < n and not stamps[:zeros].any() and 2 * int(stamps[zeros]) <= int(stamps[-1]):
             # A device's clock may start at zero.
             return
-        constant = n > 1 and is_constant(stamps[None])
+        constant = n > 1 and never_changes(stamps)
         if (zeros > _MAX_ZEROS * n or constant) and self.log_ns is not None:
             what = "are all the same" if constant and not zeros else f"{zeros} of {n} are zero"
             self._use(self.log_ns, "are all zero" if zeros == n else what)
         elif 0 < zeros <= _MAX_ZEROS * n:
-            self.stamps = _filled(stamps, self.room)
+            self.stamps = _filled(stamps)
             text = f"{zeros} of {n} time stamps are zero; they are interpolated."
             self.notes.append(Finding("info", "zero-stamps", text))
 
@@ -333,7 +314,7 @@ class _Stamps:
             times = f"{resets.size} times in {stamps.size} samples"
             raise DataError(f"the time stamps ({self.source}) go back {times}; expected a clock")
         breaks = NO_BREAKS
-        stamps = evened(stamps, period, self.room)
+        stamps = evened(stamps, period)
         # The first estimate has an error of 1 %, so only short gaps have reliable counts.
         for longest in (0, 0) if period.free else (10,) if steps.even else (10, 1000):
             breaks = breaks if steps.even else find_breaks(stamps, period, resets)
@@ -361,19 +342,15 @@ class _Stamps:
         )
         notes += gap_findings([clock])
         if breaks.doubled.size:
-            keep = self.room.made(stamps.size, np.bool_, lambda _: True)
+            keep = np.ones(stamps.size, dtype=np.bool_)
             keep[breaks.doubled] = False
-            kept = self.room.places(keep)
-            self.order = kept if self.order is None else self.room.taken(self.order, kept)
+            self.order = np.flatnonzero(keep) if self.order is None else self.order[keep]
         return clock
 
     def _clock_of_rate(self, rate_hz: float | None) -> Clock:
         """Return an even clock at the given rate; raises ChoiceError without a rate."""
         stamps, n = self.stamps, self.stamps.size
-        changes = sum(
-            int(np.count_nonzero(np.diff(stamps[max(part.start - 1, 0) : part.stop])))
-            for part in blocks(n, stamps)
-        )
+        changes = int(np.count_nonzero(np.diff(stamps)))
         step_ns = (int(stamps[-1]) - int(stamps[0])) / max(changes, 1)
         found = (
             f"the {n} samples have only {changes + 1} different time stamps ({self.source}), "
@@ -396,9 +373,8 @@ def _is_spacing(step: float, value: float) -> bool:
     return abs(step / float(np.spacing(np.float32(value))) - 1) < 0.01
 
 
-def _filled(stamps: IntArray, room: Room) -> IntArray:
-    found = [np.flatnonzero(stamps[part] == 0) + part.start for part in blocks(stamps.size, stamps)]
-    bad = np.concatenate(found)
+def _filled(stamps: IntArray) -> IntArray:
+    bad = np.flatnonzero(stamps == 0)
     starts = bad[np.flatnonzero(np.diff(bad, prepend=-2) > 1)]
     ends = bad[np.flatnonzero(np.diff(bad, append=stamps.size + 1) > 1)]
     first = int(ends[0]) + 1 if starts[0] == 0 else 0
@@ -409,7 +385,7 @@ def _filled(stamps: IntArray, room: Room) -> IntArray:
     step = float(since[-1]) / max(last - first, 1)
     between = np.interp(bad, good, since)
     between += np.minimum(bad - first, 0) * step + np.maximum(bad - last, 0) * step
-    filled = room.copied(stamps)
+    filled = stamps.copy()
     filled[bad] = stamps[first] + np.round(between).astype(np.int64)
     return filled
 

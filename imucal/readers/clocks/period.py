@@ -11,11 +11,10 @@ from itertools import product, repeat
 
 import numpy as np
 
-from imucal.arrays import FloatArray, IntArray, median, percentile
+from imucal.arrays import FloatArray, IntArray, blocks, median, percentile
 from imucal.errors import ChoiceError
 from imucal.frozen import frozen
 from imucal.readers.fixes import GIVE_RATE
-from imucal.readers.store import Room
 
 #: Number of runs examined, spread over the log.
 _RUNS = 10
@@ -559,7 +558,7 @@ def _about_a_line(values: FloatArray) -> FloatArray:
     return np.asarray(rest - place * (float(np.einsum("i,i", place, rest)) / squares))
 
 
-def evened(stamps: IntArray, period: Period, room: Room) -> IntArray:
+def evened(stamps: IntArray, period: Period) -> IntArray:
     """Return stamps with batches and coarse ticks replaced by the times of sampling."""
     if period.burst == 1 and not period.tick_ns:
         return stamps
@@ -582,7 +581,7 @@ def evened(stamps: IntArray, period: Period, room: Room) -> IntArray:
         spread = np.repeat(times, sizes) + np.round(behind * period.tau_ns).astype(np.int64)
         return np.asarray(spread[part.start - start : part.stop - start])
 
-    return room.made(stamps.size, np.int64, of, stamps)
+    return np.concatenate([of(part) for part in blocks(stamps.size)])
 
 
 def _without_ticks(stamps: IntArray, period: Period) -> IntArray:

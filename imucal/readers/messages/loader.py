@@ -7,17 +7,20 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucal.readers.compression import keep_freed_memory
 from imucal.readers.containers import Batch, Container, Loss, Task
 from imucal.readers.files import DamagedError
+from imucal.readers.growing import GrowingColumn
 from imucal.readers.read_options import Progress
-from imucal.readers.store import Block, GrowingColumn
-from imucal.resources import column_limit
 from imucal.resources import threads as allowed_threads
+
+#: Columns of messages, shape (n,) each: log times in ns, then the requested numbers.
+Block: TypeAlias = Sequence[NDArray[Any]]
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -64,25 +67,26 @@ def decode(
     containers: Sequence[Container],
     streams: Sequence[Stream],
     *,
-    limit: int | None = None,
     progress: Progress | None = None,
     most_chunks: int | None = None,
+    between_ns: tuple[int, int] | None = None,
 ) -> list[Decoding]:
     """Decode streams; with `most_chunks` only the start of the first file with messages.
 
-    Samples above `limit` bytes are in temporary files.
+    With `between_ns` only messages recorded from the first of these times to before the second, in ns.
     """
     jobs = list(_jobs(containers, streams, most_chunks))
     # Counts can be wrong, so the file's size limits the reserved memory.
     most = sum(container.size for container in containers) // _MIN_MESSAGE_BYTES if most_chunks is None else 0
-    share = (column_limit() if limit is None else limit) // len(streams)
-    outputs = [_Output(stream.types, _stated(containers, stream), most, share) for stream in streams]
+    most = 0 if between_ns is not None else most
+    outputs = [_Output(stream.types, _stated(containers, stream), most) for stream in streams]
     if sum(output.expected for output in outputs) > _LARGE:
         keep_freed_memory()
     parallel = all(container.parallel for container in containers)
     threads = min(_MAX_THREADS, allowed_threads(), len(jobs)) if parallel else 1
     done, total = 0, sum(task.size for _, task in jobs)
-    for (_, task), results in zip(jobs, _in_order(jobs, partial(_decoded, streams), threads), strict=True):
+    decoded = _in_order(jobs, partial(_decoded, streams, between_ns), threads)
+    for (_, task), results in zip(jobs, decoded, strict=True):
         for index, n, pieces in results:
             outputs[index].add(n, pieces)
         done += task.size
@@ -94,12 +98,11 @@ def decode(
 class _Output:
     """The decoded samples of a stream; memory is reserved for `stated` messages, at most `most`."""
 
-    def __init__(self, types: Sequence[type[np.generic]], stated: int | None, most: int, limit: int) -> None:
+    def __init__(self, types: Sequence[type[np.generic]], stated: int | None, most: int) -> None:
         self._stated, self._found = stated, 0
         self.expected = min(stated or 0, most)
-        share = limit // (1 + len(types))
         every: list[type[np.generic]] = [np.int64, *types]
-        self._columns = [GrowingColumn(one, limit=share, expected=self.expected) for one in every]
+        self._columns = [GrowingColumn(one, expected=self.expected) for one in every]
         self._losses: list[Loss] = []
 
     def add(self, n: int, pieces: Sequence[Block | Loss]) -> None:
@@ -164,7 +167,9 @@ def _in_order(jobs: Sequence[T], work: Callable[[T], R], threads: int) -> Iterat
                 future.cancel()
 
 
-def _decoded(streams: Sequence[Stream], job: tuple[int, Task]) -> list[tuple[int, int, list[Block | Loss]]]:
+def _decoded(
+    streams: Sequence[Stream], between_ns: tuple[int, int] | None, job: tuple[int, Task]
+) -> list[tuple[int, int, list[Block | Loss]]]:
     """Return for each stream in a chunk: index, number of messages, samples and losses."""
     at, task = job
     results: list[tuple[int, int, list[Block | Loss]]] = []
@@ -173,8 +178,9 @@ def _decoded(streams: Sequence[Stream], job: tuple[int, Task]) -> list[tuple[int
         for key, batch in task.load():
             missing.discard(key)
             lost: list[Block | Loss] = [batch.loss] if batch.loss else []
+            wanted = batch if between_ns is None else _recorded(batch, *between_ns)
             results += [
-                (index, batch.n, lost + (_pieces(stream.decoders[at, key], batch) if batch.n else []))
+                (index, batch.n, lost + (_pieces(stream.decoders[at, key], wanted) if wanted.n else []))
                 for index, stream in enumerate(streams)
                 if (at, key) in stream.decoders
             ]
@@ -183,6 +189,11 @@ def _decoded(streams: Sequence[Stream], job: tuple[int, Task]) -> list[tuple[int
         concerned = [any((at, key) in stream.decoders for key in missing) for stream in streams]
         results += [(index, 0, [loss]) for index, hit in enumerate(concerned) if hit]
     return results
+
+
+def _recorded(batch: Batch, first_ns: int, end_ns: int) -> Batch:
+    """Return the messages that were recorded in a range of times."""
+    return batch.part(np.flatnonzero((batch.log_ns >= first_ns) & (batch.log_ns < end_ns)))
 
 
 def _pieces(decoder: Decoder, batch: Batch, *, split: bool = True) -> list[Block | Loss]:

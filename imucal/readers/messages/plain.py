@@ -19,7 +19,6 @@ from imucal.readers.containers import Batch, Bytes, gather
 from imucal.readers.containers.container import cells
 from imucal.readers.files import DamagedError, damaged_if
 from imucal.readers.messages.definitions import Field
-from imucal.readers.store import Block
 
 #: Offset from the start of the payload: common, or per message.
 Position: TypeAlias = int | IntArray
@@ -100,7 +99,7 @@ class BinaryDecoder:
         self._whole = all(entry.kind != "other" for entry in fields)
         self._fields = [entry for entry in fields if entry.kind != "other"]
 
-    def decode(self, batch: Batch) -> Block:
+    def decode(self, batch: Batch) -> list[NDArray[Any]]:
         """Return the wanted numbers of a batch; raises DamagedError for an unknown layout or a wrong size."""
         if self._ros1:
             return self._decode(batch, 0, _ROS1)
@@ -113,7 +112,7 @@ class BinaryDecoder:
         order = np.argsort(np.concatenate(chosen))
         return [np.concatenate(parts)[order] for parts in zip(*blocks, strict=True)]
 
-    def _decode(self, batch: Batch, skipped: int, layout: Layout) -> Block:
+    def _decode(self, batch: Batch, skipped: int, layout: Layout) -> list[NDArray[Any]]:
         starts = batch.starts + skipped
         places, end = self._walk(batch.buffer, starts, layout)
         spare = batch.sizes - skipped - end
@@ -186,7 +185,7 @@ def _layout(code: int) -> Layout:
     return _ENCAPSULATIONS[code]
 
 
-def _gathered(buffer: Bytes, starts: IntArray, places: Sequence[Place]) -> Block:
+def _gathered(buffer: Bytes, starts: IntArray, places: Sequence[Place]) -> list[NDArray[Any]]:
     numbers: list[NDArray[Any]] = []
     while len(numbers) < len(places):
         at, size = places[len(numbers)][0], 0

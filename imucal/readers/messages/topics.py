@@ -1,15 +1,15 @@
-"""A topic as a table: one column per number in its messages; column names identify the sensors."""
+"""A topic as a table: one column per number in its messages."""
 
 import json
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import field, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.errors import ChoiceError, Fix, ReadError
+from imucal.errors import Fix, ReadError
 from imucal.frozen import frozen_alone
 from imucal.readers.containers import Channel, Container
 from imucal.readers.messages import schemas
@@ -19,32 +19,25 @@ from imucal.readers.messages.definitions import (
     plain_type,
     read_definitions,
 )
+from imucal.readers.messages.frames import frame_of
 from imucal.readers.messages.loader import Decoder, Stream, decode, first_message
 from imucal.readers.messages.plain import BinaryDecoder, is_reachable
 from imucal.readers.messages.trees import TIME, Leaf, TreeDecoder, leaves_of_tree
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.store import Block, is_constant
-from imucal.readers.tables.columns import ColumnsError, NamedTable, parse_columns_text
+from imucal.readers.table import STAMPS, Column, Table
 from imucal.readers.tables.dialects import Dialect
-from imucal.readers.tables.names import parse_column
-from imucal.readers.tables.plan import TablePlan, find_bare_triads, find_triads, make_plan
-from imucal.recording import Sensor
 
 _ENCODINGS = ("cdr", "ros1", "json", "protobuf")
 #: Separators in a columns text.
 _MARKS = r"[,+=@:]"
-#: Times that are not columns.
-_CLOCKS = (None, "header", "log")
 #: Elements of longer arrays are columns only if they are named.
 _MAX_ELEMENTS = 9
+#: Most fields of a topic that are listed.
+_MAX_FIELDS = 60
 #: Messages examined.
 _HEAD = 100
 #: Chunks read for them, first a few, then more.
 _LOOKS = (1, 32)
-#: Rows examined of a table in memory.
-HELD_ROWS = 400
-#: Packages of general vectors, read only if the user names the topic.
-_PLAIN = ("geometry_msgs/", "nav_msgs/")
 _ROS = Dialect(name="ROS", headers=(), gyro_unit="rad/s", accel_unit="m/s^2", has_log_time=True)
 #: Package -> units and times: REP 103; PX4 uses microseconds since boot.
 _PACKAGES = {
@@ -58,13 +51,12 @@ _INCREMENTS = {
 }
 
 
-class Column(NamedTuple):
-    """A number in messages: column name, path for the decoders, type and unit."""
+class Number(NamedTuple):
+    """A number in messages: name of its column, path for the decoders, and type."""
 
     name: str
     path: str
     type: str
-    unit: str | None = None
 
 
 @frozen_alone
@@ -73,31 +65,15 @@ class Topic:
 
     name: str
     type: str
+    #: Index of each container with its channel.
     channels: tuple[tuple[int, Channel], ...]
     leaves: tuple[Leaf, ...] = ()
-    columns: tuple[Column, ...] = ()
-    sensors: tuple[Sensor, ...] = ()
-    #: Whether its vectors are general: read only if the user names the topic.
-    plain: bool = False
-    #: Why its messages can't be read; otherwise empty.
+    numbers: tuple[Number, ...] = ()
+    #: Why its messages can't be read, and what helps; otherwise empty.
     reason: str = ""
-    #: What helps, if it can't be read.
     fixes: tuple[Fix, ...] = ()
-    #: The sensor requested by the user.
-    wanted: Sensor | None = None
+    #: Definitions by type, given by the user.
     given: Mapping[str, str] = field(default_factory=dict)
-    #: Columns in memory, shape (n,) each; if `sparse`, rows without values are not samples.
-    held: tuple[NDArray[Any], ...] = ()
-    sparse: bool = False
-    #: None if type or names decide.
-    dialect: Dialect | None = None
-    #: The file of a table, with the shapes of its arrays.
-    file: str = ""
-    shapes: str = ""
-
-    @property
-    def where(self) -> str:
-        return self.file or f"topic {self.name}"
 
     @property
     def count(self) -> int | None:
@@ -105,38 +81,40 @@ class Topic:
         known = [count for count in counts if count is not None]
         return sum(known) if len(known) == len(counts) else None
 
-    @property
-    def duration_s(self) -> float | None:
+    def table(self, containers: Sequence[Container], options: ReadOptions) -> Table:
+        """Return the topic as a table, whose last column is the log time."""
         firsts = [channel.first_ns for _, channel in self.channels if channel.first_ns is not None]
         lasts = [channel.last_ns for _, channel in self.channels if channel.last_ns is not None]
-        return (max(lasts) - min(firsts)) / 1e9 if firsts and lasts else None
+        return Table(
+            name=self.name,
+            kind=self.type,
+            place=f"topic {self.name}",
+            columns=tuple(
+                Column(name=one.name, type=one.type, unit=STAMPS if one.type == TIME else None)
+                for one in self.numbers
+            ),
+            head=lambda: self._head(containers, options.columns or ""),
+            is_topic=True,
+            log_time=len(self.numbers),
+            count=self.count,
+            first_ns=min(firsts, default=None),
+            last_ns=max(lasts, default=None),
+            dialect=_PACKAGES.get(self.type.partition("/")[0]),
+            reason=self.reason,
+            fixes=self.fixes,
+            fields=tuple(map(str, self.leaves[:_MAX_FIELDS])),
+            frame=lambda: self._frame(containers),
+        )
 
-    @property
-    def rate_hz(self) -> float | None:
-        count, duration = self.count, self.duration_s
-        return (count - 1) / duration if count and duration and count > 1 else None
-
-    def table(self, heads: Block = ()) -> NamedTable:
-        def cells(index: int) -> Sequence[str]:
-            return cells_of(heads[index][: HELD_ROWS if self.held else _HEAD]) if heads else ()
-
-        units = ["ns" if column.type == TIME else column.unit for column in self.columns]
-        names = [column.name for column in self.columns]
-        table = NamedTable.of(self.where, names, cells, units=units)
-        dialect = self.dialect or _PACKAGES.get(self.type.partition("/")[0], table.dialect)
-        if dialect is not None and not self.held:
-            dialect = replace(dialect, unit_source="from the message type", may_be_g=False)
-        return replace(table, dialect=dialect)
-
-    def stream(self, columns: Sequence[Column]) -> Stream:
-        """Return the decoders of some columns; raises ReadError."""
-        paths = [column.path for column in columns]
+    def stream(self, numbers: Sequence[Number]) -> Stream:
+        """Return the decoders of some numbers; raises ReadError."""
+        paths = [number.path for number in numbers]
         try:
             decoders = {(at, channel.key): self._decoder(channel, paths) for at, channel in self.channels}
         except DefinitionError as error:
             text = f"topic {self.name} of type {self.type} can't be decoded: {error.problem}"
             raise ReadError(text, fixes=error.fixes) from error
-        floats = [column.type.startswith(("float", "double")) or "/" in column.path for column in columns]
+        floats = [number.type.startswith(("float", "double")) or "/" in number.path for number in numbers]
         return Stream([np.float64 if one else np.int64 for one in floats], decoders)
 
     def _decoder(self, channel: Channel, paths: Sequence[str]) -> Decoder:
@@ -150,44 +128,37 @@ class Topic:
             return TreeDecoder(paths, schemas.ros_parser(definition), "ROS")
         return BinaryDecoder(fields, paths, ros1=channel.encoding == "ros1")
 
+    def _head(self, containers: Sequence[Container], text: str) -> list[NDArray[np.generic]]:
+        """Return the first values of each column; empty for lists that a columns text does not name."""
+        names = {*re.split(_MARKS, text)}
+        fixed = {leaf.path for leaf in self.leaves if "]." not in leaf.path and not leaf.type.endswith("[]")}
+        wanted = [
+            number
+            for number in self.numbers
+            if number.path.partition("[")[0] in fixed or names & {number.name, _owner(number.name)}
+        ]
+        stream = self.stream(wanted)
+        for chunks in _LOOKS:
+            log, *heads = decode(containers, [stream], most_chunks=chunks)[0].columns
+            if log.size >= _HEAD:
+                break
+        values = dict(zip(wanted, heads, strict=True))
+        return [values.get(number, log[:0]) for number in self.numbers]
 
-def cells_of(values: NDArray[Any]) -> list[str]:
-    """Return values as text; a column without values counts as zero."""
-    cells = values.tolist()
-    return ["" if cell is None or cell != cell else str(cell) for cell in cells] or ["0"]  # noqa: PLR0124 - NaN
+    def _frame(self, containers: Sequence[Container]) -> str:
+        """Return the frame in the first message; empty if the type has none."""
+        if not self.leaves or not self.leaves[0].path.startswith("header."):
+            return ""
+        for number, channel in self.channels:
+            message = first_message(containers[number], channel.key, chunks=None)
+            if message is not None:
+                return frame_of(message, channel.encoding)
+        return ""
 
 
-def held_topic(
-    name: str,
-    kind: str,
-    columns: Mapping[Column, NDArray[Any]],
-    options: ReadOptions,
-    **more: Any,  # noqa: ANN401 - fields of `Topic`
-) -> Topic:
-    """Return a topic in memory with its sensors; its first stamps, in ns, give its duration."""
-    arrays = tuple(columns.values())
-    stamps = next((values for column, values in columns.items() if column.type == TIME), arrays[0][:0])
-    first, last = (int(stamps[0]), int(stamps[-1])) if stamps.size else (None, None)
-    channel = Channel(
-        key=0, topic=name, type=kind, encoding="", count=arrays[0].size, first_ns=first, last_ns=last
-    )
-    topic = Topic(
-        name=name,
-        type=kind,
-        channels=((0, channel),),
-        leaves=tuple(Leaf(column.name, column.type) for column in columns),
-        columns=tuple(columns),
-        held=arrays,
-        **more,
-    )
-    try:
-        plan, _ = plan_of((), topic, options)
-    except ColumnsError as error:
-        # For a file, the error about the choice lists its columns.
-        return topic if topic.file or options.columns is None else replace(topic, reason=error.wrong)
-    except ChoiceError:
-        return topic
-    return replace(topic, sensors=tuple(sensor.triad.sensor for sensor in plan.sensors))
+def _owner(name: str) -> str:
+    """Return ``imu.gyro`` of ``imu.gyro.x``."""
+    return re.sub(r"(\[\d+\]|\.\w+)$", "", name)
 
 
 def find_topics(containers: Sequence[Container], options: ReadOptions) -> list[Topic]:
@@ -203,9 +174,12 @@ def find_topics(containers: Sequence[Container], options: ReadOptions) -> list[T
         topic = Topic(name=channel.topic, type=channel.type, channels=tuple(channels), given=given)
         try:
             leaves = tuple(_leaves(channel, containers[number], given))
-            found.append(_with_sensors(replace(topic, leaves=leaves), options))
         except DefinitionError as error:
             found.append(replace(topic, reason=error.problem, fixes=error.fixes))
+            continue
+        # Column numbers must not depend on the columns text.
+        numbers = [*_numbers(topic.type, leaves, None), *_numbers(topic.type, leaves, options.columns)]
+        found.append(replace(topic, leaves=leaves, numbers=tuple(dict.fromkeys(numbers))))
     return found
 
 
@@ -230,25 +204,25 @@ def _leaves(channel: Channel, container: Container, given: Mapping[str, str]) ->
     return schemas.ros_leaves(definition)
 
 
-def _columns(topic: Topic, text: str | None) -> Iterator[Column]:
-    """Yield the columns of a topic; elements of long arrays and lists only if they are named."""
-    kind = plain_type(topic.type)
+def _numbers(kind: str, leaves: Sequence[Leaf], text: str | None) -> Iterator[Number]:
+    """Yield the numbers in messages; elements of long arrays and lists only if they are named."""
+    kind = plain_type(kind)
     # Its field names do not contain the quantity.
     prefix = "accel." if kind == "geometry_msgs/Accel" else ""
     named = re.split(_MARKS, text or "")
     indices = sorted({0, *map(int, re.findall(r"\[(\d{1,6})\]\.", text or ""))})
-    for leaf in topic.leaves:
+    for leaf in leaves:
         listed = (leaf.path.replace("[0].", f"[{index}].", 1) for index in indices if text)
         for path in listed if "]." in leaf.path else [leaf.path]:
-            yield from (Column(prefix + name, name, base) for name, base in _elements(path, leaf, named))
+            yield from (Number(prefix + name, name, base) for name, base in _elements(path, leaf, named))
     if kind.startswith("px4_msgs/"):
-        yield from _rates({leaf.path for leaf in topic.leaves})
+        yield from _rates({leaf.path for leaf in leaves})
 
 
-def _rates(paths: Collection[str]) -> Iterator[Column]:
+def _rates(paths: Collection[str]) -> Iterator[Number]:
     for step, (rate, spans) in _INCREMENTS.items():
         for span in [span for span in spans if step in paths and span in paths][:1]:
-            yield from (Column(f"{rate}[{i}]", f"{step}[{i}]/{span}", "float32") for i in range(3))
+            yield from (Number(f"{rate}[{i}]", f"{step}[{i}]/{span}", "float32") for i in range(3))
 
 
 def _elements(path: str, leaf: Leaf, named: Sequence[str]) -> Iterator[tuple[str, str]]:
@@ -262,93 +236,3 @@ def _elements(path: str, leaf: Leaf, named: Sequence[str]) -> Iterator[tuple[str
     if count:
         found = {i for i in found if i < int(count)} if int(count) > _MAX_ELEMENTS else set(range(int(count)))
     yield from ((f"{path}[{index}]", base) for index in sorted(found))
-
-
-def _with_sensors(topic: Topic, options: ReadOptions) -> Topic:
-    # Column numbers must not depend on the columns text.
-    columns = dict.fromkeys([*_columns(topic, None), *_columns(topic, options.columns)])
-    topic = replace(topic, columns=tuple(columns))
-    if len(options.topics) == 2 and topic.name in options.topics:
-        # The first of two topics is the gyroscope, unless names decide.
-        topic = replace(topic, wanted=tuple(Sensor)[options.topics.index(topic.name)])
-    if options.columns is None:
-        return _by_name(topic, named=topic.name in options.topics)
-    try:
-        triads, _, _ = parse_columns_text(options.columns, topic.table())
-    except ColumnsError as error:
-        return replace(topic, reason=error.wrong)
-    return replace(topic, sensors=tuple(triad.sensor for triad in triads))
-
-
-def _by_name(topic: Topic, *, named: bool) -> Topic:
-    kind = plain_type(topic.type)
-    last = kind.rpartition("/")[2]
-    if is_command(topic.name) and "imu" not in last.lower() and not named:
-        return topic
-    table = topic.table()
-    try:
-        triads = find_triads(table, units_given=tuple(Sensor))
-        found = {triad.sensor for triad in triads}
-        bare = set() if found else set(find_bare_triads(table, _word(topic))[0])
-    except ChoiceError:
-        return topic
-    if len(found) == 1 and all(len("".join(triad.columns[0].words)) == 1 for triad in triads):
-        # ax, ay, az alone may be the acceleration of a position.
-        return topic
-    vague = bool(bare) and parse_column(f"{last}.x", 0).sensor is None
-    sensors = tuple(sensor for sensor in Sensor if sensor in found | bare)
-    return replace(topic, sensors=sensors, plain=vague or kind.startswith(_PLAIN))
-
-
-def _word(topic: Topic) -> str:
-    """Return the sensor requested by the user or named by topic or type, or an empty text."""
-    last = plain_type(topic.type).rpartition("/")[2]
-    candidates = (topic.wanted, *(parse_column(f"{name}.x", 0).sensor for name in (topic.name, last)))
-    return str(next(filter(None, candidates), ""))
-
-
-def is_command(topic: str) -> bool:
-    """Return whether a topic's name indicates commands instead of measurements."""
-    return re.search(r"(^|[/_])(cmd|command|setpoint|desired|target)s?([/_]|$)", topic.lower()) is not None
-
-
-def plan_of(
-    containers: Sequence[Container], topic: Topic, options: ReadOptions
-) -> tuple[TablePlan, frozenset[Sensor]]:
-    """Choose the columns of a topic; also return the sensors whose first samples change.
-
-    Raises ChoiceError.
-    """
-    heads = topic.held or _heads(containers, topic, options.columns or "")
-    time = None if options.time in _CLOCKS and not topic.held else options.time
-    name = _word(topic) or topic.name
-    plan = make_plan(topic.table(heads), replace(options, time=time), name=name, shape=topic.shapes)
-    alive = []
-    for triad in (sensor.triad for sensor in plan.sensors):
-        # Columns in memory may be text.
-        rows = [heads[index] for index in triad.indices if heads[index].dtype.kind in "biuf"]
-        alive += [triad.sensor] if not rows or rows[0].size < 2 or not is_constant(rows) else []
-    return plan, frozenset(alive)
-
-
-def _heads(containers: Sequence[Container], topic: Topic, text: str) -> Block:
-    """Return the first values of each column; empty for lists that are not named."""
-    names = {*re.split(_MARKS, text)}
-    fixed = {leaf.path for leaf in topic.leaves if "]." not in leaf.path and not leaf.type.endswith("[]")}
-    wanted = [
-        column
-        for column in topic.columns
-        if column.path.partition("[")[0] in fixed or names & {column.name, _owner(column.name)}
-    ]
-    stream = topic.stream(wanted)
-    for chunks in _LOOKS:
-        log, *heads = decode(containers, [stream], most_chunks=chunks)[0].columns
-        if log.size >= _HEAD:
-            break
-    values = dict(zip(wanted, heads, strict=True))
-    return [values.get(column, log[:0]) for column in topic.columns]
-
-
-def _owner(name: str) -> str:
-    """Return ``imu.gyro`` of ``imu.gyro.x``."""
-    return re.sub(r"(\[\d+\]|\.\w+)$", "", name)

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucal.readers.containers import Batch
 from imucal.readers.files import DamagedError
-from imucal.readers.store import Block
 
 #: Bytes of a message -> mappings, lists and numbers, or objects.
 Parse: TypeAlias = Callable[[bytes], Any]
@@ -48,7 +48,7 @@ class TreeDecoder:
         self._parse, self._kind = parse, kind
         self._steps = [[name or int(index) for index, name in _STEP.findall(path)] for path in paths]
 
-    def decode(self, batch: Batch) -> Block:
+    def decode(self, batch: Batch) -> list[NDArray[Any]]:
         """Return the wanted numbers; raises DamagedError if a message is damaged or lacks a field."""
         rows = [self._row(bytes(data)) for data in batch.messages()]
         columns = (list(cells) for cells in zip(*rows, strict=True))

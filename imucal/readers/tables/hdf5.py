@@ -1,7 +1,7 @@
 """The arrays of an HDF5 file, also of MATLAB 7.3; they must be in the file itself."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.readers.compression import most_unpacked
-from imucal.readers.tables.passed import Notes, Part, RefusedError, cut
+from imucal.readers.tables.notes import Notes, RefusedError
 
 #: Signature of a superblock.
 _MAGIC = b"\x89HDF\r\n\x1a\n"
@@ -19,8 +19,8 @@ _FIRST_BLOCK = 512
 _MAX_NODES = 4000
 
 
-def parts(path: Path, notes: Notes) -> Iterator[Part]:
-    """Yield the numeric arrays of a file. Runs in the child.
+def arrays(path: Path, notes: Notes) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield the numeric arrays of a file by name. Runs in the child.
 
     Raises RefusedError if data are in other files or virtual, or too large for the file.
     """
@@ -39,11 +39,10 @@ def parts(path: Path, notes: Notes) -> Iterator[Part]:
             elif isinstance(node, h5py.Dataset):
                 if node.dtype.kind in "biufV":
                     # MATLAB stores matrices transposed.
-                    yield label, *_cut_dataset(node, transposed=matlab)
+                    yield label, np.asarray(node[()].T if matlab else node[()])
                 elif node.dtype.kind == "c":
                     notes.skip(label, node.shape, node.dtype)
-            for number, value in _single_numbers(name, {} if matlab else node.attrs).items():
-                yield number, 0, [value]
+            yield from _single_numbers(name, {} if matlab else node.attrs).items()
 
 
 def _nodes(file: Any) -> Iterator[tuple[str, Any]]:  # noqa: ANN401 - h5py is imported late
@@ -91,18 +90,6 @@ def _require_own_data(name: str, node: Any) -> None:  # noqa: ANN401 - h5py's
 
 def _elsewhere(found: str) -> str:
     return f"{found}; expected data in the file itself; write all arrays to one file"
-
-
-def _cut_dataset(node: Any, *, transposed: bool) -> tuple[int, Iterable[NDArray[Any]]]:  # noqa: ANN401 - h5py's
-    """Return the longest axis of a dataset and its parts along it, moved to the front."""
-    if not node.size or not node.ndim or node.dtype.hasobject:
-        return 0, [np.asarray(node[()].T if transposed else node[()])]
-    axis = int(np.argmax(node.shape))
-    chunk = node.chunks[axis] if node.chunks else 1
-    pieces = (node[(slice(None),) * axis + (rows,)] for rows in cut(node.shape, node.dtype.itemsize, chunk))
-    if not transposed:
-        return axis, (np.moveaxis(piece, axis, 0) for piece in pieces)
-    return node.ndim - 1 - axis, (np.moveaxis(piece.T, node.ndim - 1 - axis, 0) for piece in pieces)
 
 
 def _single_numbers(owner: str, attributes: Mapping[str, Any]) -> dict[str, NDArray[Any]]:

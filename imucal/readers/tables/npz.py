@@ -1,4 +1,4 @@
-"""NumPy's NPZ and NPY files, read part by part, because `numpy.load` would hold them in memory."""
+"""NumPy's NPZ and NPY files; a file that declares too much is refused before it is read."""
 
 import math
 import os
@@ -9,12 +9,14 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from imucal.errors import Fix
 from imucal.readers.compression import most_unpacked
-from imucal.readers.store import allocated
-from imucal.readers.tables.passed import Notes, RefusedError, fill
-from imucal.resources import column_limit
+from imucal.readers.memory import fit_into_memory, too_large
+from imucal.readers.tables.notes import Notes, RefusedError
 
 _SUFFIX = ".npy"
+#: Bytes read at a time.
+_PIECE = 1 << 24
 #: Most arrays of an archive; opening one takes 0.1 ms.
 _MAX_MEMBERS = 4000
 
@@ -22,19 +24,18 @@ _MAX_MEMBERS = 4000
 def npz_arrays(path: Path, notes: Notes) -> dict[str, NDArray[Any]]:
     """Return the arrays of an NPZ file by name; Python objects are noted and not loaded.
 
-    Raises ReadError if the disk is full, RefusedError if the file unpacks to too much, ValueError or an error
-    of `zipfile` for damage.
+    Raises RefusedError if the file unpacks to too much, ValueError or an error of `zipfile` for damage.
     """
     arrays: dict[str, NDArray[Any]] = {}
     with zipfile.ZipFile(path) as archive:
         members = [info for info in archive.infolist() if info.filename.endswith(_SUFFIX)]
         size = sum(info.file_size for info in members)
         _require_plausible(len(members), size, path.stat().st_size)
-        large = size > column_limit()
+        _require_memory(path, size)
         for info in members:
             name = info.filename.removesuffix(_SUFFIX)
             with archive.open(info) as member:
-                array = _array(name, member, info.file_size, notes, large=large)
+                array = _array(name, member, info.file_size, notes)
             if array is not None:
                 arrays[name] = array
     return arrays
@@ -47,7 +48,8 @@ def npy_array(path: Path, notes: Notes) -> dict[str, NDArray[Any]]:
     """
     with path.open("rb", buffering=0) as file:
         size = os.fstat(file.fileno()).st_size
-        array = _array("", file, size, notes, large=size > column_limit())
+        _require_memory(path, size)
+        array = _array("", file, size, notes)
     return {} if array is None else {"": array}
 
 
@@ -66,7 +68,14 @@ def _require_plausible(members: int, size: int, packed: int) -> None:
         raise RefusedError(f"{found}; no recording is compressed so much, save its samples again")
 
 
-def _array(name: str, file: IO[bytes], size: int, notes: Notes, *, large: bool) -> NDArray[Any] | None:
+def _require_memory(path: Path, size: int) -> None:
+    """Raise DataError if arrays of `size` bytes do not fit into memory."""
+    values = size // np.dtype(np.float64).itemsize
+    if not fit_into_memory(values):
+        raise too_large(path, values, Fix("save a part of the samples"))
+
+
+def _array(name: str, file: IO[bytes], size: int, notes: Notes) -> NDArray[Any] | None:
     """Return the array in a file of `size` bytes; None if it is noted instead."""
     shape, fortran, dtype = _header(file)
     if dtype.hasobject:
@@ -81,9 +90,9 @@ def _array(name: str, file: IO[bytes], size: int, notes: Notes, *, large: bool) 
         raise ValueError(f"{label} declares {n * dtype.itemsize} bytes and contains {held}")
     if n * dtype.itemsize < held:
         notes.damage = f"{label} declares {n * dtype.itemsize} bytes and contains {held}"
-    flat = allocated(n, dtype, 0 if large else held)
+    flat = np.empty(n, dtype)
     # `zipfile` verifies the checksum at the end.
-    fill(flat.view(np.uint8), file)
+    _fill(flat.view(np.uint8), file)
     return flat.reshape(shape, order="F" if fortran else "C")
 
 
@@ -92,3 +101,13 @@ def _header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
     shape, fortran, dtype = read(file)
     return tuple(shape), bool(fortran), np.dtype(dtype)
+
+
+def _fill(target: NDArray[np.uint8], file: Any) -> None:  # noqa: ANN401 - anything with `readinto`
+    """Read an array's bytes; raises ValueError if the file ends early."""
+    filled = 0
+    while filled < target.size:
+        count = file.readinto(target[filled : filled + _PIECE].data)
+        if not count:
+            raise ValueError(f"an array ends after {filled} of {target.size} bytes")
+        filled += count

@@ -9,14 +9,13 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray, IntArray, blocks, median
+from imucal.arrays import FloatArray, IntArray, median
 from imucal.errors import ChoiceError
 from imucal.frozen import frozen
 from imucal.readers.clocks import estimate_period
 from imucal.readers.clocks.period import LIKELY_RATES, RATES
 from imucal.readers.files import refused
 from imucal.readers.fixes import TIME
-from imucal.readers.store import Room, extremes
 from imucal.readers.tables.columns import NamedTable
 from imucal.readers.tables.dates import DAY, HALF_DAY, day_first, is_text_stamp, is_time_of_day, text_kind
 from imucal.readers.tables.dialects import Dialect
@@ -33,53 +32,42 @@ _LOOKED_AT = 1 << 20
 Numbers: TypeAlias = NDArray[np.int64] | FloatArray
 
 
-def pair_stamps(
-    coarse: Numbers, fine: Numbers, ns: int | None, room: Room, *, text: bool = False
-) -> IntArray:
+def pair_stamps(coarse: Numbers, fine: Numbers, ns: int | None, *, text: bool = False) -> IntArray:
     """Return ns from whole seconds, or times as `text`, and finer counts of `ns` ns.
 
     Without a unit the largest count determines it.
     """
-    most = float(extremes(fine)[1]) if fine.size else 0.0
+    most = float(fine.max()) if fine.size else 0.0
     if ns is None:
         ns = next((unit for unit in (_SECOND, 10**6, 1000) if most * unit < _SECOND), 1)
     if most * ns >= _SECOND:
-        return to_ns(fine, ns, room)
-    whole = rolled(np.asarray(coarse, dtype=np.int64), DAY, room) if text else to_ns(coarse, _SECOND, room)
-    return _sum(whole, to_ns(fine, ns, room), room)
+        return to_ns(fine, ns)
+    whole = rolled(np.asarray(coarse, dtype=np.int64), DAY) if text else to_ns(coarse, _SECOND)
+    return whole + to_ns(fine, ns)
 
 
-def text_stamps(columns: Sequence[IntArray], room: Room) -> IntArray:
+def text_stamps(columns: Sequence[IntArray]) -> IntArray:
     """Return ns from parsed texts: one column, or dates, times, and AM or PM."""
     if len(columns) == 1:
-        return rolled(columns[0], DAY, room)
+        return rolled(columns[0], DAY)
     date, time, *half = columns
     if half:
-        time = room.made(time.size, np.int64, lambda at: time[at] % HALF_DAY + half[0][at], time, *half)
-    return _sum(date, time, room)
+        time = time % HALF_DAY + half[0]
+    return date + time
 
 
-def _sum(first: IntArray, second: IntArray, room: Room) -> IntArray:
-    return room.made(first.size, np.int64, lambda at: first[at] + second[at], first, second)
-
-
-def rolled(stamps_ns: IntArray, period: int, room: Room) -> IntArray:
+def rolled(stamps_ns: IntArray, period: int) -> IntArray:
     """Return times of day in ns, with a period added at each restart."""
-    if not stamps_ns.size:
+    if not stamps_ns.size or stamps_ns.min() < 0 or stamps_ns.max() >= period:
         return stamps_ns
-    low, high = extremes(stamps_ns)
-    if low < 0 or high >= period:
-        return stamps_ns
-    return _turned(stamps_ns, _places(stamps_ns, -period, -period // 2 - 1), period, room)
+    return _turned(stamps_ns, _places(stamps_ns, -period, -period // 2 - 1), period)
 
 
-def unwrapped(counts: IntArray, room: Room) -> tuple[IntArray, int]:
+def unwrapped(counts: IntArray) -> tuple[IntArray, int]:
     """Return counts without wraps at 8, 16, 24 or 32 bits, and the number of wraps."""
-    if counts.size < 2:
+    if counts.size < 2 or counts.min() < 0:
         return counts, 0
-    lowest, highest = extremes(counts)
-    if lowest < 0:
-        return counts, 0
+    highest = int(counts.max())
     usual = 0
     for bits in (8, 16, 24, 32):
         period = 1 << bits
@@ -94,52 +82,46 @@ def unwrapped(counts: IntArray, room: Room) -> tuple[IntArray, int]:
         most = max(100 * usual, period // 64)
         wraps = _places(counts, -period, min(most - period, -1))
         if wraps.size:
-            return _turned(counts, wraps, period, room), int(wraps.size)
+            return _turned(counts, wraps, period), int(wraps.size)
     return counts, 0
 
 
 def _places(values: IntArray, above: int, most: int) -> IntArray:
-    found = []
-    for part in blocks(values.size - 1, values):
-        steps = np.diff(values[part.start : part.stop + 1])
-        if steps.min() <= most:
-            found.append(np.flatnonzero((steps > above) & (steps <= most)) + part.start + 1)
-    return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
+    """Return the indices of values after a step in the range (above, most]."""
+    steps = np.diff(values)
+    places: IntArray = np.flatnonzero((steps > above) & (steps <= most)) + 1
+    return places
 
 
-def _turned(values: IntArray, turns: IntArray, period: int, room: Room) -> IntArray:
-    def of(part: slice) -> IntArray:
-        before, stop = np.searchsorted(turns, [part.start, part.stop])
-        added = np.zeros(part.stop - part.start, dtype=np.int64)
-        added[turns[before:stop] - part.start] = period
-        added[0] += before * period
-        return np.asarray(values[part] + np.cumsum(added), dtype=np.int64)
+def _turned(values: IntArray, turns: IntArray, period: int) -> IntArray:
+    """Return values with a period added from each of the indices `turns` on."""
+    if not turns.size:
+        return values
+    added = np.zeros(values.size, dtype=np.int64)
+    added[turns] = period
+    turned: IntArray = values + np.cumsum(added)
+    return turned
 
-    return room.made(values.size, np.int64, of, values)
 
-
-def to_ns(values: Numbers, ns: int, room: Room) -> IntArray:
+def to_ns(values: Numbers, ns: int) -> IntArray:
     """Return counts of `ns` ns as int64 ns, shape (n,); floats are split to keep their resolution."""
-    start = 0
-    if values.dtype.kind == "i":
-        if values.size and max(abs(int(one)) for one in extremes(values)) > (1 << 62) // ns:
-            start = int(values[0])
-        if ns == 1 and not start:
-            return np.asarray(values, dtype=np.int64)
-
-    def of(part: slice) -> IntArray:
-        return _ns_of(values[part] - start if start else values[part], ns)
-
-    return room.made(values.size, np.int64, of, values)
+    if values.dtype.kind == "f":
+        return _floats_to_ns(values, ns)
+    counts = np.asarray(values, dtype=np.int64)
+    if counts.size and max(abs(int(counts.min())), abs(int(counts.max()))) > (1 << 62) // ns:
+        # The product would not fit into 64 bits.
+        counts = counts - counts[0]
+    scaled: IntArray = counts if ns == 1 else counts * ns
+    return scaled
 
 
-def _ns_of(values: Numbers, ns: int) -> IntArray:
-    if values.dtype.kind == "i":
-        return np.asarray(values, dtype=np.int64) * ns
+def _floats_to_ns(values: Numbers, ns: int) -> IntArray:
     floor = np.floor(values)
     limit = float((1 << 62) // ns)
     whole = np.where(np.abs(floor) < limit, floor, 0.0)
-    return whole.astype(np.int64) * ns + np.round((values - floor) * ns).astype(np.int64)
+    rest = np.round((values - floor) * ns)
+    stamps: IntArray = whole.astype(np.int64) * ns + rest.astype(np.int64)
+    return stamps
 
 
 def infer_time_unit(values: Numbers) -> tuple[str | None, tuple[str, ...]]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import BoolArray
-from imucal.readers.store import GrowingColumn
+from imucal.readers.growing import GrowingColumn
 from imucal.readers.tables.dates import NO_STAMP, TextKind, is_text_stamp, parse_texts, text_kind
 from imucal.readers.tables.layout import (
     BLANKS,
@@ -47,15 +47,13 @@ def kind_of(cells: Sequence[str], *, text: bool) -> Kind:
 class BlockReader:
     """Reads the wanted columns of a text table, block by block.
 
-    A row without a cell in a `needed` column is bad. `limit` is the largest size of a column in memory, in
-    bytes. Dates with the year last begin with the day if `by_day`.
+    A row without a cell in a `needed` column is bad. Dates with the year last begin with the day if `by_day`.
     """
 
     layout: TextLayout
     kinds: dict[int, Kind]
     needed: frozenset[int]
     rows: Rows = None
-    limit: int = 1 << 62
     expected: int = 0
     by_day: bool = False
     good: int = 0
@@ -70,9 +68,7 @@ class BlockReader:
     def __post_init__(self) -> None:
         self.kinds = dict(sorted(self.kinds.items()))
         self.columns = {
-            index: GrowingColumn(
-                np.float64 if kind == "float" else np.int64, limit=self.limit, expected=self.expected
-            )
+            index: GrowingColumn(np.float64 if kind == "float" else np.int64, expected=self.expected)
             for index, kind in self.kinds.items()
         }
         self._pattern = row_pattern(self.rows, self.layout.delimiter) if self.rows else None

@@ -1,7 +1,7 @@
-"""Read delimited text (CSV, TSV, blanks) from a file, standard input, or several files.
+"""Delimited text (CSV, TSV, blanks) from a file, standard input, or the zip or folder of a phone app.
 
-The first lines determine the layout, and column names the sensors; polars parses blocks of rows. Each sensor
-may have a file, also in the zip or folder of a phone app.
+The first lines determine the layout, and polars parses blocks of rows. An app writes a text for each sensor,
+each of which is a table.
 """
 
 import shlex
@@ -9,24 +9,22 @@ import zipfile
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
-from pathlib import Path, PurePath
-from typing import Any, BinaryIO, TypeAlias, cast
+from pathlib import Path
+from typing import BinaryIO, cast
 
-from imucal.errors import ChoiceError, DataError, Fix, ImucalError, ReadError, joined
+from imucal.errors import ChoiceError, DataError, Fix, ReadError
 from imucal.findings import Finding
-from imucal.readers.builder import RecordingBuilder
 from imucal.readers.compression import keep_freed_memory, most_unpacked
-from imucal.readers.contents import LogContents
 from imucal.readers.files import first_bytes, refused
 from imucal.readers.foreign import CURVES, LOGGERS, TEXTS, advice_on
+from imucal.readers.memory import fit_into_memory, too_large
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables.columns import ColumnsError, NamedTable
+from imucal.readers.table import Column, Loaded, Log, Request, Table
+from imucal.readers.tables.columns import NamedTable
 from imucal.readers.tables.dialects import find_json, name_columns
-from imucal.readers.tables.file_sets import FileHead, chosen_files
 from imucal.readers.tables.layout import (
     BLANKS,
     Rows,
@@ -37,20 +35,225 @@ from imucal.readers.tables.layout import (
     split_line,
 )
 from imucal.readers.tables.names import Role
-from imucal.readers.tables.plan import SensorPlan, TablePlan, make_plan
-from imucal.readers.tables.stamps import TimeChoice
-from imucal.readers.tables.tabular import (
-    SensorColumns,
-    assemble,
-    contents_of,
-    of_a_part,
-    refuse_topics,
-    with_more,
-)
 from imucal.readers.tables.text_blocks import BlockReader, Kind, kind_of
-from imucal.readers.tables.text_source import STANDARD_INPUT, LongerError, TextSource, open_text
-from imucal.recording import Recording, Sensor, span_ns
-from imucal.resources import column_limit
+from imucal.readers.tables.text_source import STANDARD_INPUT, TextSource, open_text
+from imucal.recording import LogFileInfo
+
+#: A wider table has no row per sample.
+_MAX_COLUMNS = 500
+#: Longest text between two rows of a table, in bytes. Logs with messages between their rows have a row in
+#: every few KB. A line that is no row costs 2 µs, so 200 MB of them would take a minute.
+_MAX_WITHOUT_ROWS = 8 << 20
+#: Longest compressed text of one repeated line, in bytes: a million rows, which take 2 s to read.
+_MAX_REPEATED_TEXT = 32 << 20
+#: Bytes of a line that an error shows.
+_SHOWN = 60
+#: Code of the error for a file without samples.
+ONLY_TIMES = "only-times"
+_ZIP = b"PK\x03\x04"
+_SUFFIXES = (".csv", ".tsv", ".txt")
+#: Most text tables of a zip or folder: an app writes one per sensor; reading the head of one takes 1 ms.
+_MAX_TABLES = 1000
+
+
+@dataclass(slots=True, eq=False)
+class _Text:
+    """A text with its layout; `source` is None if it must be opened again."""
+
+    open: Callable[[], TextSource]
+    layout: TextLayout
+    source: TextSource | None = None
+
+
+class TextLog(Log):
+    """A text, or the texts of an app; if `head` is true, only the first lines are read."""
+
+    form = "csv"
+
+    def __init__(self, path: Path, options: ReadOptions) -> None:
+        super().__init__(path)
+        self.head = False
+        self.is_set = False
+        self._options = options
+        self._texts: dict[str, _Text] = {}
+        self._archive: zipfile.ZipFile | None = None
+        self._files: tuple[LogFileInfo, ...] = ()
+
+    def open_text(self, most: int | None) -> None:
+        """Add the text of a file, or of standard input."""
+        opened = partial(open_text, self.path, progress=self._options.progress, most=most)
+        if str(self.path) != STANDARD_INPUT and self.path.is_file():
+            self.size_bytes = self.path.stat().st_size
+        source = opened()
+        try:
+            layout = lay_out(source.name, source.head, self._options)
+            self.tables.append(_table(self.path.name, source, layout))
+        except BaseException:
+            source.close()
+            raise
+        self.name = source.name
+        self.compression = source.compression
+        self._texts[self.path.name] = _Text(opened, layout, source)
+
+    def open_files(self, paths: Sequence[Path]) -> None:
+        """Add the texts of files, which may have one sensor each; raises ReadError if one can't be read."""
+        names = [path.name for path in paths]
+        for path in paths:
+            name = path.name if names.count(path.name) == 1 else str(path)
+            opened = partial(open_text, path, progress=self._options.progress)
+            with opened() as source:
+                layout = lay_out(source.name, source.head, self._options)
+                self.tables.append(replace(_table(name, source, layout), is_member=True))
+            self._texts[name] = _Text(opened, layout)
+
+    def open_folder(self) -> None:
+        """Add the texts in a folder."""
+        entries = sorted(entry for entry in self.path.iterdir() if entry.suffix.lower() in _SUFFIXES)
+        _require_few(self.path, len(entries))
+        self.is_set = True
+        self.compression = "none"
+        self.unpacked_bytes = sum(map(_size, entries))
+        for entry in entries:
+            self._add(entry.name, partial(open_text, entry))
+
+    def open_archive(self) -> None:
+        """Add the texts in a zip; raises ReadError if it can't be read."""
+        packed = self.path.stat().st_size
+        self.is_set = True
+        self.compression = "zip"
+        with _reading_zip(self.path):
+            archive = zipfile.ZipFile(self.path)
+            self._archive = archive
+            members = [
+                info
+                for info in archive.infolist()
+                if info.filename.lower().endswith(_SUFFIXES) and not info.filename.startswith("__MACOSX")
+            ]
+            _require_few(self.path, len(members))
+            self.unpacked_bytes = sum(info.file_size for info in members)
+            if self.unpacked_bytes > most_unpacked(packed):
+                found = f"its {packed} bytes declare {self.unpacked_bytes} bytes of tables"
+                raise refused(
+                    self.path, f"{found}; no recording is compressed so much, unpack it and look at them"
+                )
+            for info in members:
+                self._add(info.filename, partial(_open_member, self.path, archive, info.filename, packed))
+
+    def _add(self, name: str, opened: Callable[[], TextSource]) -> None:
+        """Add one of several texts as a table, which may be unreadable."""
+        try:
+            with opened() as source:
+                layout = lay_out(source.name, source.head, self._options)
+                table = _table(name, source, layout)
+        except ReadError as error:
+            empty = Table(name=name, kind="table", place=name, columns=(), head=list, count=0)
+            table = replace(empty, reason=error.sentence, fixes=error.fixes)
+        else:
+            self._texts[name] = _Text(opened, layout)
+        self.tables.append(replace(table, is_member=True))
+
+    def read(self, requests: Sequence[Request]) -> list[Loaded]:
+        names = dict.fromkeys(request.table.name for request in requests)
+        found: dict[int, Loaded] = {}
+        with _reading_zip(self.path) if self._archive else nullcontext():
+            for name in names:
+                numbers = [at for at, request in enumerate(requests) if request.table.name == name]
+                loaded = self._read(self._texts[name], [requests[at] for at in numbers])
+                found |= zip(numbers, loaded, strict=True)
+        return [found[at] for at in range(len(requests))]
+
+    def _read(self, text: _Text, requests: Sequence[Request]) -> list[Loaded]:
+        """Read a text once for all requests."""
+        keep_freed_memory()
+        source = text.source or text.open()
+        text.source = None
+        with source:
+            expected = 0 if self.head else source.expected_rows
+            values = expected * sum(len(request.columns) for request in requests)
+            if not fit_into_memory(values):
+                raise too_large(source.name, values, Fix("write a part of its lines to another file"))
+            readers = [_reader(source.head, text.layout, request, expected) for request in requests]
+            blocks = [("\n".join(source.head) + "\n").encode()] if self.head else source.blocks()
+            cut = _read_blocks(source, blocks, text.layout, readers)
+            findings = _row_findings(source, cut, text.layout, readers, strict=self._options.strict)
+            if not any(reader.good for reader in readers):
+                advice = advice_on("\n".join(source.head).encode(), LOGGERS)
+                problem = f"the table has no rows of its sensors; {advice or 'expected a row per sample'}"
+                raise refused(source.name, problem, DataError)
+            self._files += source.files()
+        first, *others = [
+            {index: column.take() for index, column in reader.columns.items()} for reader in readers
+        ]
+        return [Loaded(first, findings), *map(Loaded, others)]
+
+    def files(self) -> tuple[LogFileInfo, ...]:
+        return self._files
+
+    def close(self) -> None:
+        for text in self._texts.values():
+            if text.source is not None:
+                text.source.close()
+        if self._archive is not None:
+            self._archive.close()
+
+
+def open_log(path: Path, options: ReadOptions, *, most: int | None = None) -> TextLog:
+    """Open a text, or the zip or folder of an app.
+
+    Raises ReadError if it can't be opened or is not a table. Reading a single text raises LongerError after
+    `most` unpacked bytes.
+    """
+    log = TextLog(path, options)
+    try:
+        if not is_set(path):
+            log.open_text(most)
+        elif path.is_dir():
+            log.open_folder()
+        else:
+            log.open_archive()
+    except BaseException:
+        log.close()
+        raise
+    return log
+
+
+def is_set(path: Path) -> bool:
+    """Return whether a path is a zip or a folder of text tables."""
+    if path.is_dir():
+        return any(entry.suffix.lower() in _SUFFIXES for entry in path.iterdir())
+    with suppress(ReadError):
+        return first_bytes(path, len(_ZIP)) == _ZIP
+    return False
+
+
+def _open_member(path: Path, archive: zipfile.ZipFile, name: str, packed: int) -> TextSource:
+    return TextSource(f"{path}:{name}", cast("BinaryIO", archive.open(name)), packed=packed)
+
+
+@contextmanager
+def _reading_zip(path: Path) -> Iterator[None]:
+    """Convert errors of a damaged zip to ReadError."""
+    try:
+        yield
+    except (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError) as error:
+        text = f"the zip can't be read: {error}; expected the export of a phone's app"
+        raise refused(path, text) from error
+
+
+def _require_few(path: Path, tables: int) -> None:
+    if tables > _MAX_TABLES:
+        found = f"it contains {tables} tables of text"
+        raise refused(
+            path, f"{found}; expected one per sensor, at most {_MAX_TABLES}: give the files of the IMU"
+        )
+
+
+def _size(entry: Path) -> int:
+    """Return the size of a file in bytes; 0 for a broken link, which is refused when it is opened."""
+    try:
+        return entry.stat().st_size
+    except OSError:
+        return 0
 
 
 def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout:
@@ -71,13 +274,7 @@ def lay_out(path: str, lines: Sequence[str], options: ReadOptions) -> TextLayout
         raise refused(path, f"found no rows of numbers; the first line is {first[:80]!r}; {expected}")
     if not layout.headers and (advice := _other_rows(layout)):
         raise refused(path, advice)
-    layout = name_columns(layout)
-    if options.columns is None and not layout.headers:
-        problem = f"the {layout.width} columns have no header"
-        if layout.mismatch is not None:
-            problem = f"the header has {layout.mismatch} names and the rows {layout.width} cells"
-        raise NamedTable.of(path, [""] * layout.width, layout.cells).ask(problem)
-    return layout
+    return name_columns(layout)
 
 
 def _other_rows(layout: TextLayout) -> str:
@@ -93,78 +290,13 @@ def _other_rows(layout: TextLayout) -> str:
     return ""
 
 
-#: A wider table has no row per sample.
-_MAX_COLUMNS = 500
-#: Longest text between two rows of a table, in bytes. Logs with messages between their rows have a row in
-#: every few KB. A line that is no row costs 2 µs, so 200 MB of them would take a minute.
-_MAX_WITHOUT_ROWS = 8 << 20
-#: Longest compressed text of one repeated line, in bytes: a million rows, which take 2 s to read.
-_MAX_REPEATED_TEXT = 32 << 20
-#: Bytes of a line that an error shows.
-_SHOWN = 60
-#: Code of the error for a file without samples.
-_ONLY_TIMES = "only-times"
-
-
-def read_table(
-    source: TextSource,
-    options: ReadOptions,
-    *,
-    name: str = "",
-    head: bool = False,
-    trial: bool = False,
-) -> Recording:
-    """Read the table of an open text; only its first lines if `head`.
-
-    The file `name` may contain the sensor. In a `trial` of proposed columns, an error proposes no others.
-    Raises ChoiceError if columns, units or time are ambiguous, ReadError if the text is not a table, and
-    DataError without samples.
-    """
-    keep_freed_memory()
-    try:
-        layout, plan = plan_of_head(source, options, name)
-    except ColumnsError as error:
-        if trial:
-            raise
-        tried = partial(read_table, source, name=name, head=True, trial=True)
-        raise with_more(source.name, error, options, tried) from error
-    groups: dict[Rows, list[SensorPlan]] = {}
-    for sensor in plan.sensors:
-        groups.setdefault(sensor.triad.rows, []).append(sensor)
-    plans = [replace(plan, sensors=tuple(group)) for group in groups.values()]
-    expected = 0 if head else source.expected_rows
-    readers = [_reader(source.head, layout, part, options.memory_limit, expected) for part in plans]
-    blocks = [("\n".join(source.head) + "\n").encode()] if head else source.blocks()
-    cut = _read_blocks(source, blocks, layout, readers)
-    findings = _row_findings(source, cut, layout, readers, strict=options.strict)
-    sensors = []
-    for reader, part in zip(readers, plans, strict=True):
-        if reader.good:
-            sensors += _columns(reader, part)
-    if not sensors:
-        advice = advice_on("\n".join(source.head).encode(), LOGGERS)
-        text = f"the table has no rows of its sensors; {advice or 'expected a row per sample'}"
-        raise refused(source.name, text, DataError)
-    findings += plan.findings
-    work = RecordingBuilder(
-        path=source.name, format="csv", options=options, rate_hz=layout.rate_hz, findings=findings
-    )
-    try:
-        assemble(work, [plan], sensors)
-    except ChoiceError as error:
-        if not source.findings:
-            raise
-        damage = [ChoiceError(finding.text, place=source.name) for finding in source.findings]
-        raise joined(source.name, [error, *damage]) from error
-    return work.build(topics=plan.topics)
-
-
-def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tuple[TextLayout, TablePlan]:
-    """Return layout and columns of a text, with the errors of `read_table`."""
-    layout = lay_out(source.name, source.head, options)
-    names = layout.headers or [""] * layout.width
-    table = NamedTable.of(source.name, names, layout.cells, units=layout.units, preamble=layout.preamble)
-    if all(column.role is Role.TIME for column in table.columns):
+def _table(name: str, source: TextSource, layout: TextLayout) -> Table:
+    """Return a text as a table; raises ChoiceError if it contains only times."""
+    names = layout.headers or ("",) * layout.width
+    units = (*layout.units, *([None] * layout.width))[: len(names)]
+    cells = [layout.cells(index) for index in range(layout.width)]
+    named = NamedTable.of(source.name, names, layout.cells, units=layout.units)
+    if all(column.role is Role.TIME for column in named.columns):
         pasted = f"paste -d , {shlex.quote(source.name)} SAMPLES > log.csv"
         raise refused(
             source.name,
@@ -172,36 +304,46 @@ def plan_of_head(source: TextSource, options: ReadOptions, name: str = "") -> tu
             ChoiceError,
             Fix(f"write them next to the samples, such as with {pasted}"),
             Fix("leave it out and give the sampling rate", "rate_hz", "HZ"),
-            code=_ONLY_TIMES,
+            code=ONLY_TIMES,
         )
-    return layout, make_plan(table, options, name=name)
+    return Table(
+        name=name,
+        kind="table",
+        place=source.name,
+        columns=tuple(Column(name=one, unit=unit) for one, unit in zip(names, units, strict=True)),
+        head=lambda: cells,
+        rate_hz=layout.rate_hz,
+        preamble=layout.preamble,
+        unnamed=_why_unnamed(layout),
+    )
 
 
-def _reader(
-    lines: Sequence[str], layout: TextLayout, plan: TablePlan, limit: int | None, expected: int
-) -> BlockReader:
-    rows = plan.sensors[0].triad.rows
-    layout = _of_rows(lines, layout, rows)
-    kinds: dict[int, Kind] = {}
-    times = [time for sensor in plan.sensors for time in (sensor.time, sensor.log_time) if time is not None]
-    for sensor in plan.sensors:
-        kinds |= dict.fromkeys(sensor.triad.indices, "float")
-    for time in times:
+def _why_unnamed(layout: TextLayout) -> str:
+    """Return why the columns of a text have no names, or an empty text."""
+    if layout.headers:
+        return ""
+    if layout.mismatch is not None:
+        return f"the header has {layout.mismatch} names and the rows {layout.width} cells"
+    return f"the {layout.width} columns have no header"
+
+
+def _reader(lines: Sequence[str], layout: TextLayout, request: Request, expected: int) -> BlockReader:
+    layout = _of_rows(lines, layout, request.rows)
+    kinds: dict[int, Kind] = dict.fromkeys(request.samples, "float")
+    for time in request.times:
         text = time.kind == "text"
         kinds |= {index: kind_of(layout.cells(index), text=text) for index in time.indices}
     # A row without its last cell was truncated, perhaps within a number.
     needed = frozenset(index for index in (*kinds, layout.width - 1) if all(layout.cells(index)))
-    if plan.temperature is not None:
-        kinds.setdefault(plan.temperature, "float")
+    if request.temperature is not None:
+        kinds.setdefault(request.temperature, "float")
     return BlockReader(
         layout=layout,
         kinds=kinds,
         needed=needed,
-        rows=rows,
-        # The other half is for the results.
-        limit=(limit or column_limit()) // (2 * max(1, len(kinds))),
+        rows=request.rows,
         expected=expected,
-        by_day=any(time.by_day for time in times),
+        by_day=any(time.by_day for time in request.times),
     )
 
 
@@ -303,220 +445,3 @@ def _row_findings(
             raise refused(path, f"the {found}; expected whole lines")
         findings.append(Finding("info", "cut-line", f"The {found}; it was dropped."))
     return findings
-
-
-def _columns(reader: BlockReader, plan: TablePlan) -> list[SensorColumns]:
-    values: dict[Any, Any] = {index: column.take() for index, column in reader.columns.items()}
-
-    def of(time: TimeChoice | None) -> tuple[Any, ...]:
-        return tuple(values[index] for index in time.indices) if time else ()
-
-    return [
-        SensorColumns(
-            plan=sensor,
-            axes=[values[index] for index in sensor.triad.indices],
-            time=of(sensor.time),
-            log_time=of(sensor.log_time),
-            temperature=values.get(plan.temperature),
-            sparse=not reader.needed.issuperset(sensor.triad.indices),
-        )
-        for sensor in plan.sensors
-    ]
-
-
-_ZIP = b"PK\x03\x04"
-_SUFFIXES = (".csv", ".tsv", ".txt")
-#: Most text tables of a zip or folder: an app writes one per sensor; reading the head of one takes 1 ms.
-_MAX_TABLES = 1000
-
-#: Table name -> unpacked size, and function that opens it.
-_Members: TypeAlias = dict[str, tuple[int, Callable[[], TextSource]]]
-
-
-def is_set(path: Path) -> bool:
-    """Return whether a path is a zip or a folder of text tables."""
-    if path.is_dir():
-        return any(entry.suffix.lower() in _SUFFIXES for entry in path.iterdir())
-    with suppress(ReadError):
-        return first_bytes(path, len(_ZIP)) == _ZIP
-    return False
-
-
-@contextmanager
-def _members(path: Path) -> Iterator[_Members]:
-    if path.is_dir():
-        entries = sorted(entry for entry in path.iterdir() if entry.suffix.lower() in _SUFFIXES)
-        _require_few(path, len(entries))
-        yield {entry.name: (_size(entry), partial(open_text, entry)) for entry in entries}
-        return
-    packed = path.stat().st_size
-
-    def opened(name: str) -> TextSource:
-        return TextSource(f"{path}:{name}", cast("BinaryIO", archive.open(name)), packed=packed)
-
-    try:
-        with zipfile.ZipFile(path) as archive:
-            tables = [
-                info
-                for info in archive.infolist()
-                if info.filename.lower().endswith(_SUFFIXES) and not info.filename.startswith("__MACOSX")
-            ]
-            _require_few(path, len(tables))
-            declared = sum(info.file_size for info in tables)
-            if declared > most_unpacked(packed):
-                found = f"its {packed} bytes declare {declared} bytes of tables"
-                raise refused(
-                    path, f"{found}; no recording is compressed so much, unpack it and look at them"
-                )
-            yield {info.filename: (info.file_size, partial(opened, info.filename)) for info in tables}
-    except (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError) as error:
-        text = f"the zip can't be read: {error}; expected the export of a phone's app"
-        raise refused(path, text) from error
-
-
-def _require_few(path: Path, tables: int) -> None:
-    if tables > _MAX_TABLES:
-        found = f"it contains {tables} tables of text"
-        raise refused(
-            path, f"{found}; expected one per sensor, at most {_MAX_TABLES}: give the files of the IMU"
-        )
-
-
-def _size(entry: Path) -> int:
-    """Return the size of a file in bytes; 0 for a broken link, which is refused when it is opened."""
-    try:
-        return entry.stat().st_size
-    except OSError:
-        return 0
-
-
-def _read_set(path: Path, options: ReadOptions, *, head: bool = False) -> Recording:
-    with _members(path) as members:
-        chosen = [*members]
-        if len(members) != 1 or options.topics:
-            files = {name: _head_of(name, opened, options) for name, (_, opened) in members.items()}
-            chosen = [choice.topic.name for choice in chosen_files(path, files, options)]
-        parts = []
-        for name in chosen:
-            with members[name][1]() as source:
-                parts.append(read_table(source, options, name=PurePath(name).name, head=head))
-        return merge(parts, chosen, str(path))
-
-
-def _head_of(name: str, opened: Callable[[], TextSource], options: ReadOptions) -> FileHead:
-    head = FileHead()
-    try:
-        with opened() as source:
-            head = head._replace(header=next(iter(source.head), ""))
-            _, plan = plan_of_head(source, options, PurePath(name).name)
-    except ChoiceError:
-        return head._replace(has_rows=True)
-    except ReadError:
-        return head
-    return head._replace(has_rows=True, sensors=tuple(sensor.triad.sensor for sensor in plan.sensors))
-
-
-def read_many(paths: Sequence[Path], options: ReadOptions) -> Recording | None:
-    """Read files with one sensor each; None for other files.
-
-    Raises ReadError if a file can't be read, ChoiceError if one has no samples.
-    """
-    sensors = []
-    for path in paths:
-        try:
-            with open_text(path) as source:
-                _, plan = plan_of_head(source, options, path.name)
-        except ImucalError as error:
-            if error.code == _ONLY_TIMES:
-                raise
-            return None
-        sensors += [sensor.triad.sensor for sensor in plan.sensors]
-    if not len(sensors) == len(set(sensors)) == len(paths):
-        return None
-    parts = []
-    for path in paths:
-        with open_text(path, progress=options.progress) as source:
-            parts.append(read_table(source, options))
-    return merge(parts, [path.name for path in paths], ", ".join(map(str, paths)))
-
-
-def merge(parts: Sequence[Recording], names: Sequence[str], path: str) -> Recording:
-    """Merge the sensors of recordings; raises ChoiceError if their times do not overlap."""
-    source = replace(parts[0].source, path=path)
-    if len(parts) == 1:
-        return replace(parts[0], source=source)
-    _refuse_other_times(path, names, parts)
-    every = chain.from_iterable(part.series for part in parts)
-    series = sorted(every, key=lambda one: one.sensor is Sensor.ACCELEROMETER)
-    if all(one.clock == series[0].clock for one in series):
-        series = [replace(one, clock=series[0].clock) for one in series]
-    topics = chain.from_iterable(part.source.topics for part in parts)
-    decisions = chain([("files", ", ".join(names))], *(part.source.decisions for part in parts))
-    values = dict(chain.from_iterable(part.source.values.items() for part in parts))
-    findings = chain.from_iterable(part.findings for part in parts)
-    return replace(
-        parts[0],
-        source=replace(
-            source, topics=tuple(topics), decisions=tuple(dict.fromkeys(decisions)), values=values
-        ),
-        series=tuple(series),
-        temperature=next((part.temperature for part in parts if part.temperature is not None), None),
-        findings=tuple(dict.fromkeys(findings)),
-    )
-
-
-def _refuse_other_times(path: str, names: Sequence[str], parts: Sequence[Recording]) -> None:
-    spans = [span for part in parts if (span := span_ns(part.series))]
-    if len(spans) == len(parts) and min(end for _, end in spans) < max(spans)[0]:
-        apart = f"{' and '.join(names)} were not recorded at the same time"
-        raise refused(path, f"{apart}; expected one recording; read one file at a time", ChoiceError)
-
-
-#: Largest unpacked text that `describe` reads completely, in bytes.
-_SMALL = 64 << 20
-
-
-def read(path: Path, options: ReadOptions) -> Recording:
-    """Read a text table, or the zip or folder of a phone app, with the errors of `read_table`."""
-    if is_set(path):
-        return _read_set(path, options)
-    refuse_topics(path, options, "a table of text")
-    with open_text(path, progress=options.progress) as source:
-        recording = read_table(source, options)
-        return replace(recording, source=replace(recording.source, files=source.files()))
-
-
-def describe(path: Path, options: ReadOptions) -> LogContents:
-    """Return the contents of a text table; a note explains why a table can't be read.
-
-    Raises ReadError if it can't be opened or is not a table.
-    """
-    if is_set(path):
-        with _members(path) as members:
-            unpacked = sum(size for size, _ in members.values())
-        whole = unpacked <= _SMALL
-        compression = "zip" if path.is_file() else "none"
-        contents = _described(path, None, compression, partial(_read_set, path, options, head=not whole))
-        return replace(contents if whole else of_a_part(contents), unpacked_bytes=unpacked)
-    size = path.stat().st_size if str(path) != STANDARD_INPUT and path.is_file() else None
-    # A small file may unpack to a huge one.
-    with suppress(LongerError):
-        if size is not None and size <= _SMALL:
-            with open_text(path, progress=options.progress, most=_SMALL) as source:
-                return _described(path, size, source.compression, partial(read_table, source, options))
-    with open_text(path) as source:
-        reading = partial(read_table, source, options, name=path.name, head=True)
-        contents = _described(path, size, source.compression, reading)
-    return replace(of_a_part(contents), unpacked_bytes=max(size or 0, _SMALL + 1))
-
-
-def _described(
-    path: Path, size: int | None, compression: str, reading: Callable[[], Recording]
-) -> LogContents:
-    found: Recording | ImucalError
-    try:
-        found = reading()
-        layout = found.source.values.get("layout", "table")
-    except (ChoiceError, DataError) as error:
-        found, layout = error, "table"
-    return contents_of(path, "csv", found, size=size, layout=layout, compression=compression)

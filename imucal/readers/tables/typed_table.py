@@ -7,30 +7,25 @@ z. Arrays of different lengths are separate tables.
 
 import math
 import tempfile
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.errors import Fix, ImucalError
+from imucal.errors import ImucalError
 from imucal.findings import Finding
 from imucal.frozen import frozen, frozen_alone
-from imucal.readers.contents import LogContents
 from imucal.readers.files import first_bytes, refused
 from imucal.readers.foreign import OBJECTS_IN_NPZ
 from imucal.readers.isolation import isolated, require
-from imucal.readers.message_logs import OpenLog, read_log
-from imucal.readers.messages.topics import HELD_ROWS, Column, Topic, held_topic
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.table import HEAD_ROWS, Column, Table
 from imucal.readers.tables import hdf5, parquet_pages
-from imucal.readers.tables.columns import ColumnsError
+from imucal.readers.tables.column_log import ColumnLog
+from imucal.readers.tables.notes import Notes, RefusedError
 from imucal.readers.tables.npz import is_numeric, npy_array, npz_arrays
-from imucal.readers.tables.passed import PIECE, Notes, Part, Passed, RefusedError, taken, written
-from imucal.readers.tables.tabular import contents_of, refuse_topics, with_more
-from imucal.recording import Recording
 
 #: Most columns of a list or a matrix.
 _MAX_COLUMNS = 64
@@ -76,17 +71,15 @@ class TypedColumn:
     unit: str | None = None
 
 
-def _parquet_parts(path: Path, notes: Notes) -> Iterator[Part]:
+def _parquet_arrays(path: Path, notes: Notes) -> Iterator[tuple[str, NDArray[Any]]]:
     import polars as pl
 
     notes.damage = parquet_pages.damage_of(path)
-
     scan = pl.scan_parquet(path, glob=False)
-    names, n = scan.collect_schema().names(), int(scan.select(pl.len()).collect().item())
-    some = max(1, PIECE // max(1, 8 * n))
-    for start in range(0, len(names), some):
-        for series in scan.select(names[start : start + some]).collect():
-            yield from ((name, 0, [column.to_numpy()]) for name, column in _split(series))
+    # One column at a time, to hold little in memory.
+    for name in scan.collect_schema().names():
+        column = scan.select(pl.col(name)).collect().to_series()
+        yield from ((label, part.to_numpy()) for label, part in _split(column))
 
 
 def _split(series: Any) -> Iterator[tuple[str, Any]]:  # noqa: ANN401 - polars is imported late
@@ -104,13 +97,13 @@ def _split(series: Any) -> Iterator[tuple[str, Any]]:  # noqa: ANN401 - polars i
         yield name, series
 
 
-def _mat_parts(path: Path, notes: Notes) -> Iterator[Part]:
+def _mat_arrays(path: Path, notes: Notes) -> Iterator[tuple[str, NDArray[Any]]]:
     import scipy.io
 
     content = scipy.io.loadmat(str(path), squeeze_me=True, struct_as_record=True)
     for name, value in content.items():
         if not name.startswith("__"):
-            yield from ((label, 0, [array]) for label, array in _flatten(name, value, notes))
+            yield from _flatten(name, value, notes)
 
 
 def _flatten(
@@ -152,17 +145,30 @@ class TableFile:
     damage: str = ""
 
 
-_PARTS = {"Parquet": _parquet_parts, "HDF5": hdf5.parts, "MAT": _mat_parts}
+_ARRAYS = {"Parquet": _parquet_arrays, "HDF5": hdf5.arrays, "MAT": _mat_arrays}
 
 
-def write_arrays(kind: str, path: Path, target: Path) -> tuple[Passed, Notes]:
-    """Write the arrays of a file to another; return their places and the rest. Runs in the child."""
+def write_arrays(kind: str, path: Path, folder: Path) -> tuple[list[str], Notes]:
+    """Write each array of a file to a file in a folder; return their names and the rest. Runs in the child.
+
+    A pipe would need all arrays in both processes, twice in each.
+    """
     notes = Notes()
+    names: list[str] = []
     try:
-        return written(_PARTS[kind](path, notes), target), notes
+        for name, array in _ARRAYS[kind](path, notes):
+            plain = _texts(array) if array.dtype.hasobject else array
+            np.save(folder / f"{len(names)}.npy", plain, allow_pickle=False)
+            names.append(name)
     except RefusedError as error:
         notes.refusal = str(error)
-        return {}, notes
+    return names, notes
+
+
+def _texts(array: NDArray[Any]) -> NDArray[np.str_]:
+    """Return an array of Python objects as texts; a missing value is empty."""
+    cells = ["" if value is None else str(value) for value in array.reshape(-1).tolist()]
+    return np.array(cells, dtype=np.str_).reshape(array.shape)
 
 
 def open_table(path: Path) -> TableFile:
@@ -174,7 +180,7 @@ def open_table(path: Path) -> TableFile:
     kind = kind or "MAT"
     if kind == "HDF5":
         require(path, "h5py", "an HDF5 or MATLAB 7.3 file", extra="hdf5")
-    if kind in _PARTS:
+    if kind in _ARRAYS:
         return _table_of_child(path, kind)
     notes = Notes()
     try:
@@ -192,16 +198,19 @@ def open_table(path: Path) -> TableFile:
 
 
 def _table_of_child(path: Path, kind: str) -> TableFile:
-    """Read a table in the child, which passes its arrays in a file."""
+    """Read a file in the child, which passes its arrays in files."""
     with tempfile.TemporaryDirectory(prefix="imucal-") as folder:
-        target = Path(folder) / "arrays"
         # The child may have another working directory.
-        found, notes = isolated(path, write_arrays, kind)(kind, path.absolute(), target)
+        names, notes = isolated(path, write_arrays, kind)(kind, path.absolute(), Path(folder))
         if notes.refusal:
             raise refused(path, notes.refusal)
         if kind == "HDF5":
             notes.damage = hdf5.damage_of(path)
-        return _of_arrays(kind.lower(), taken(found, target), notes)
+        arrays = {
+            name: np.load(Path(folder) / f"{number}.npy", allow_pickle=False)
+            for number, name in enumerate(names)
+        }
+    return _of_arrays(kind.lower(), arrays, notes)
 
 
 def _of_arrays(form: str, arrays: Mapping[str, NDArray[Any]], notes: Notes | None = None) -> TableFile:
@@ -268,62 +277,43 @@ def _plain(name: str, array: NDArray[Any], unit: str | None = None) -> TypedColu
     return TypedColumn(name=name, values=array.astype(f"{array.dtype.kind}8[ns]").astype(np.int64), unit="ns")
 
 
-def read(path: Path, options: ReadOptions) -> Recording:
-    """Read a table of typed columns.
+def open_log(path: Path, options: ReadOptions) -> ColumnLog:
+    """Open a file of typed columns; raises ReadError if it can't be read or has no columns of samples.
 
-    Raises ChoiceError if columns, units or time are ambiguous, ReadError, or DataError without samples.
+    Arrays of different lengths are separate tables. Indices in a columns text refer to the widest of them.
     """
-    return _read(path, open_table(path), options)
+    file = open_table(path)
+    groups = _groups(path, file)
+    if options.columns is not None:
+        groups = [max(groups, key=lambda group: (len(group), group[0].values.size))]
+    several = len(groups) > 1
+    names = [f"{group[0].values.size} rows" if several else path.name for group in groups]
+    arrays = {name: [one.values for one in group] for name, group in zip(names, groups, strict=True)}
+    log = ColumnLog(path, arrays)
+    log.form = file.format
+    log.size_bytes = path.stat().st_size
+    log.unpacked_bytes = 8 * sum(column.values.size for column in file.columns)
+    log.advice = file.way
+    log.tables = [_table(path, name, group, file) for name, group in zip(names, groups, strict=True)]
+    if file.damage:
+        text = f"The file is damaged: {file.damage}; some values may be wrong."
+        log.findings.append(Finding("warning", "damaged", text, "Copy it again."))
+    return log
 
 
-def describe(path: Path, options: ReadOptions) -> LogContents:
-    """Return the contents of a table."""
-    size, table = path.stat().st_size, open_table(path)
-    found: Recording | ImucalError
-    try:
-        found = _read(path, table, options)
-    except ImucalError as error:
-        names = ", ".join(f"{column.name} ({column.values.size})" for column in table.columns[:60])
-        found = error.with_fixes(Fix(f"columns: {names}"))
-    unpacked = 8 * sum(column.values.size for column in table.columns)
-    return replace(contents_of(path, table.format, found, size=size), unpacked_bytes=unpacked)
-
-
-def _read(path: Path, table: TableFile, options: ReadOptions) -> Recording:
-    topics = _topics(path, table, options)
-    if len(topics) == 1:
-        refuse_topics(path, options, "a table")
-    try:
-        return read_log(_log(path, table, topics), options)
-    except ColumnsError as error:
-
-        def tried(asked: ReadOptions) -> object:
-            heads = [replace(one, held=tuple(values[:HELD_ROWS] for values in one.held)) for one in topics]
-            return read_log(_log(path, table, heads), asked)
-
-        asking = with_more(str(path), error, options, tried)
-        raise (asking.with_fixes(Fix(table.way)) if table.way else asking) from error
-
-
-def _log(path: Path, table: TableFile, topics: list[Topic]) -> OpenLog:
-    findings = []
-    if table.damage:
-        text = f"The file is damaged: {table.damage}; some values may be wrong."
-        findings.append(Finding("warning", "damaged", text, "Copy it again."))
-    return OpenLog(path, table.format, topics, findings, rate_hz=table.rate_hz)
-
-
-def _topics(path: Path, table: TableFile, options: ReadOptions) -> list[Topic]:
-    """Return a topic for each array length with a sensor; without one, the widest table.
-
-    Indices in a columns text refer to the widest table.
-    """
-    groups = _groups(path, table)
-    topics = []
-    if len(groups) > 1 and options.columns is None:
-        topics = [_topic(path, group, table, options, f"{group[0].values.size} rows") for group in groups]
-    widest = max(groups, key=lambda group: (len(group), group[0].values.size))
-    return [one for one in topics if one.sensors] or [_topic(path, widest, table, options, path.name)]
+def _table(path: Path, name: str, group: Sequence[TypedColumn], file: TableFile) -> Table:
+    heads = [column.values[:HEAD_ROWS] for column in group]
+    return Table(
+        name=name,
+        kind="table",
+        place=str(path),
+        columns=tuple(Column(name=one.name, type=one.values.dtype.name, unit=one.unit) for one in group),
+        head=lambda: heads,
+        count=group[0].values.size,
+        rate_hz=file.rate_hz,
+        sparse=any(head.dtype.kind == "f" and bool(np.isnan(head).any()) for head in heads),
+        shapes=", ".join(file.shapes),
+    )
 
 
 def _groups(path: Path, table: TableFile) -> list[list[TypedColumn]]:
@@ -336,13 +326,3 @@ def _groups(path: Path, table: TableFile) -> list[list[TypedColumn]]:
         )
         raise refused(path, why)
     return [[column for column in table.columns if column.values.size == n] for n in lengths]
-
-
-def _topic(path: Path, group: list[TypedColumn], table: TableFile, options: ReadOptions, name: str) -> Topic:
-    columns = {
-        Column(one.name, str(at), one.values.dtype.name, one.unit): one.values for at, one in enumerate(group)
-    }
-    heads = [one.values[:HELD_ROWS] for one in group if one.values.dtype.kind == "f"]
-    sparse = any(bool(np.isnan(head).any()) for head in heads)
-    shapes = ", ".join(table.shapes)
-    return held_topic(name, "table", columns, options, file=str(path), shapes=shapes, sparse=sparse)

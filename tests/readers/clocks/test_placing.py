@@ -18,7 +18,6 @@ from imucal.readers.clocks.placing import (
     fit_period,
     step_statistics,
 )
-from imucal.readers.store import Room
 
 TAU = 1000
 EVEN = np.arange(200, dtype=np.int64) * TAU
@@ -131,7 +130,7 @@ def test_gaps_between_bursts_are_accurate_to_one_sample(lost: int, missing: list
     stamps = np.repeat(np.arange(100, dtype=np.int64) * 3 * TAU, 3)
     stamps[150:] += lost * TAU
     period = Period(tau_ns=float(TAU), burst=3, pause_ns=1.5 * TAU, loose=1.0)
-    evenly = evened(stamps, period, Room())
+    evenly = evened(stamps, period)
     assert np.diff(evenly[:150]).tolist() == [TAU] * 149
     found = find_breaks(evenly, period)
     assert found.doubled.tolist() == []
@@ -207,7 +206,7 @@ def test_an_outlier_stamp_has_no_weight() -> None:
 )
 def test_zero_stamps_are_interpolated(stamps: list[int], filled: list[int]) -> None:
     """At both ends they are extrapolated with the period."""
-    assert _filled(np.array(stamps, dtype=np.int64), Room()).tolist() == filled
+    assert _filled(np.array(stamps, dtype=np.int64)).tolist() == filled
 
 
 DAY = 86_400 * 10**9

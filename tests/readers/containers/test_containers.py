@@ -43,16 +43,6 @@ def test_a_log_is_described_from_its_index(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["mcap-zstd", "bag-lz4", "db3"])
-def test_samples_in_a_temporary_file_are_equal(name: str, tmp_path: Path) -> None:
-    """Above the memory limit, samples are in a temporary file."""
-    truth = samples(300)
-    recording = read(CONTAINERS[name](tmp_path, truth), memory_limit=1000)
-    for series, expected in zip(recording.series, truth.all.T, strict=True):
-        assert np.array_equal(series.samples, expected)
-        assert not series.samples.flags.writeable
-
-
-@pytest.mark.parametrize("name", ["mcap-zstd", "bag-lz4", "db3"])
 def test_progress_increases_to_the_total(name: str, tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
     read(CONTAINERS[name](tmp_path, samples(300)), progress=lambda done, total: seen.append((done, total)))

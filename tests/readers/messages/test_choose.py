@@ -1,16 +1,17 @@
 """The choice of topics: each test checks one rule."""
 
-from dataclasses import replace
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from imucal.errors import ChoiceError
-from imucal.readers.containers import Channel
-from imucal.readers.messages.choice import choose
-from imucal.readers.messages.topics import Column, Topic
+from imucal.readers.choose import choose
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.table import Column, Table
+from imucal.readers.tables.column_log import ColumnLog
 from imucal.recording import Sensor
 from tests.raising import raises
 
@@ -25,28 +26,38 @@ def topic(
     reason: str = "",
     *,
     plain: bool = False,
-) -> Topic:
-    """Return a topic with one channel."""
-    channel = Channel(key=0, topic=name, type="p/Imu", encoding="cdr", count=count)
-    return Topic(
+    live: Collection[Sensor] = BOTH,
+) -> Table:
+    """Return a topic with columns of some sensors, or with one column `v`; those in `live` change."""
+    owners = [sensor for sensor in sensors for _ in "xyz"]
+    columns = [f"{sensor.short}_{axis}" for sensor in sensors for axis in "xyz"] or ["v"]
+    heads = [np.arange(5.0) if sensor in live else np.ones(5) for sensor in owners] or [np.arange(5.0)]
+    return Table(
         name=name,
-        type="p/Imu",
-        channels=((0, channel),),
-        columns=() if reason else (Column("v", "v", "float64"),),
-        sensors=sensors,
-        plain=plain,
+        kind="p/Imu",
+        place=f"topic {name}",
+        columns=() if reason else tuple(Column(name=one, type="float64") for one in columns),
+        head=lambda: heads,
+        is_topic=True,
+        count=count,
+        weak=plain,
         reason=reason,
     )
 
 
-def chosen(topics: list[Topic], *named: str, **live: Any) -> list[tuple[str, tuple[Sensor, ...], str]]:  # noqa: ANN401
-    """Return name, sensors and reason of each chosen topic; `live` has the sensors that change."""
+def chosen(topics: list[Table], *named: str) -> list[tuple[str, tuple[Sensor, ...], str]]:
+    """Return name, sensors and reason of each chosen topic."""
+    log = ColumnLog(Path("log"), {})
+    log.tables = topics
+    found = choose(log, ReadOptions(topics=named))
+    return [
+        (one.table.name, tuple(sensor.triad.sensor for sensor in one.plan.sensors), one.how) for one in found
+    ]
 
-    def alive(one: Topic) -> frozenset[Sensor]:
-        return frozenset(live.get(one.name.strip("/"), {GYRO, ACCEL}))
 
-    found = choose(Path("log"), topics, ReadOptions(topics=named), alive)
-    return [(choice.topic.name, choice.sensors, choice.how) for choice in found]
+def pair(**live: Collection[Sensor]) -> list[Table]:
+    """Return two topics, with the sensors of each that change."""
+    return [topic(f"/{name}", live=live.get(name, BOTH)) for name in "ab"]
 
 
 def test_the_only_imu_topic_is_chosen() -> None:
@@ -60,15 +71,15 @@ def test_the_only_imu_topic_is_chosen() -> None:
 
 def test_the_only_topic_with_changing_samples_is_chosen() -> None:
     """Each sensor can have its own topic; otherwise the user must choose."""
-    pair = [topic("/a"), topic("/b")]
-    assert chosen(pair, a=()) == [("/b", (GYRO, ACCEL), "the only topic whose samples change")]
-    assert chosen(pair, a={ACCEL}, b={GYRO}) == [
+    assert chosen(pair(a=())) == [("/b", (GYRO, ACCEL), "the only topic whose samples change")]
+    assert chosen(pair(a={ACCEL}, b={GYRO})) == [
         ("/b", (GYRO,), "gyroscope, the only topic of this sensor"),
         ("/a", (ACCEL,), "accelerometer, the only topic of this sensor"),
     ]
-    for live in ({}, {"a": {GYRO}}, {"a": {GYRO}, "b": {GYRO}}, {"a": (), "b": ()}):
+    cases: list[dict[str, Any]] = [{}, {"a": {GYRO}}, {"a": {GYRO}, "b": {GYRO}}, {"a": (), "b": ()}]
+    for live in cases:
         with raises(ChoiceError, "2 topics carry IMU samples", place="log", argument="topic"):
-            chosen(pair, **live)
+            chosen(pair(**live))
 
 
 def test_a_named_topic_is_chosen() -> None:
@@ -86,25 +97,25 @@ def test_a_named_topic_is_chosen() -> None:
 @pytest.mark.parametrize("names", [("/a", "/b"), ("/b", "/a")])
 def test_two_named_topics_are_one_for_each_sensor(names: tuple[str, str]) -> None:
     """The order is free, and both topics must change."""
-    pair = [topic("/a"), topic("/b")]
     first, second = (name.strip("/") for name in names)
-    assert [found[:2] for found in chosen(pair, *names, **{first: {GYRO}, second: {ACCEL}})] == [
+    assert [found[:2] for found in chosen(pair(**{first: {GYRO}, second: {ACCEL}}), *names)] == [
         (f"/{first}", (GYRO,)),
         (f"/{second}", (ACCEL,)),
     ]
-    assert [found[:2] for found in chosen(pair, *names, **{first: {ACCEL}, second: {GYRO}})] == [
+    assert [found[:2] for found in chosen(pair(**{first: {ACCEL}, second: {GYRO}}), *names)] == [
         (f"/{second}", (GYRO,)),
         (f"/{first}", (ACCEL,)),
     ]
-    for live in (
+    cases: list[dict[str, Any]] = [
         {first: {GYRO}, second: {GYRO}},
         {first: {ACCEL}, second: {ACCEL}},
         {first: (), second: {GYRO}},
-    ):
+    ]
+    for live in cases:
         with raises(ChoiceError, "not a gyroscope and an accelerometer", place="log", argument="topic"):
-            chosen(pair, *names, **live)
+            chosen(pair(**live), *names)
     with raises(ChoiceError, "3 topics", place="log", argument="topic"):
-        chosen(pair, *names, "/a")
+        chosen(pair(), *names, "/a")
 
 
 def test_the_error_lists_the_available_topics() -> None:
@@ -125,9 +136,11 @@ def test_the_error_lists_the_available_topics() -> None:
 def test_a_topic_without_sensor_names_is_chosen_if_named_or_alone() -> None:
     """The error about its columns lists them, as for a table without names."""
     one = topic("/x", ())
-    assert chosen([one]) == [("/x", BOTH, "the only topic")]
-    assert chosen([one, topic("/y", ())], "/x") == [("/x", BOTH, "as given")]
+    for topics, names in (([one], ()), ([one, topic("/y", ())], ("/x",))):
+        with raises(ChoiceError, "found columns: 0 v", place="topic /x", argument="columns"):
+            chosen(topics, *names)
     with raises(ChoiceError, r"\n  /x.*\n  /y.*\n", place="log", argument="columns"):
         chosen([one, topic("/y", ())])
+    nothing = Table(name="/z", kind="p/Imu", place="topic /z", columns=(), head=list, is_topic=True)
     with raises(ChoiceError, "/z of type p/Imu .*: its messages contain no num", place="log"):
-        chosen([replace(one, name="/z", columns=())], "/z")
+        chosen([nothing], "/z")

@@ -11,8 +11,8 @@ import pytest
 from imucal.readers.containers import Batch
 from imucal.readers.files import DamagedError
 from imucal.readers.messages.definitions import Field, defined
+from imucal.readers.messages.loader import Block
 from imucal.readers.messages.plain import BinaryDecoder, is_reachable
-from imucal.readers.store import Block
 
 TEXT = "time t\nstring s\nfloat64[3] g\nfloat32 c"
 PATHS = ("t", "g[0]", "g[1]", "g[2]", "c")

@@ -1,7 +1,6 @@
 """Missing stamps in messages, the description of topics, and logs of very few samples."""
 
 import json
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,16 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from imucal.readers import read as read_log
+from imucal.readers.candidates import Candidate
+from imucal.readers.choose import candidates_of, listing
 from imucal.readers.containers import Batch, Channel
-from imucal.readers.containers.mcap import open_files
 from imucal.readers.files import DamagedError
-from imucal.readers.messages.choice import table
-from imucal.readers.messages.surroundings import read_temperature, temperature_topic
-from imucal.readers.messages.topics import Topic, find_topics, plan_of
+from imucal.readers.formats import open_log
+from imucal.readers.messages.topics import Topic
 from imucal.readers.messages.trees import TreeDecoder, leaves_of_tree
 from imucal.readers.read_options import ReadOptions
 from imucal.recording import Sensor
-from tests.readers.logs import CONTAINERS, samples
+from tests.readers.logs import CONTAINERS, Message, header, imu_messages, samples, store, write_mcap
 
 GYRO, ACCEL = Sensor.GYROSCOPE, Sensor.ACCELEROMETER
 
@@ -78,13 +78,11 @@ def test_integers_of_json_messages_keep_their_digits() -> None:
 def test_two_samples_decide_whether_a_sensor_has_data(n: int, alive: set[Sensor], tmp_path: Path) -> None:
     truth = samples(n)
     truth = replace(truth, accel=np.ones_like(truth.accel))
-    options = ReadOptions()
-    containers, _ = open_files(CONTAINERS["mcap-none"](tmp_path, truth))
-    with closing(containers[0]):
-        (topic,) = (topic for topic in find_topics(containers, options) if topic.sensors)
-        plan, found = plan_of(containers, topic, options)
-        assert found == alive
-        assert [sensor.triad.sensor for sensor in plan.sensors] == [GYRO, ACCEL]
+    path = CONTAINERS["mcap-none"](tmp_path, truth)
+    with open_log(path, ReadOptions()) as log:
+        (candidate,) = (one for one in candidates_of(log, ReadOptions()) if one.sensors)
+        assert candidate.alive == alive
+        assert [sensor.triad.sensor for sensor in candidate.plan.sensors] == [GYRO, ACCEL]
 
 
 def channel(
@@ -115,8 +113,14 @@ def test_properties_of_a_topic(
     rate: float | None,
 ) -> None:
     topic = Topic(name="/imu", type="sensor_msgs/msg/Imu", channels=tuple(channels))
-    assert (topic.count, topic.rate_hz) == (count, rate)
-    assert topic.duration_s == (None if span is None else (span[1] - span[0]) / 1e9)
+    table = topic.table([], ReadOptions())
+    assert (table.count, table.measured_hz) == (count, rate)
+    assert table.duration_s == (None if span is None else (span[1] - span[0]) / 1e9)
+
+
+def candidate(topic: Topic) -> Candidate:
+    """Return a topic of a log without files."""
+    return Candidate(topic.table([], ReadOptions()), ReadOptions())
 
 
 def test_the_table_of_topics_has_aligned_columns() -> None:
@@ -125,17 +129,34 @@ def test_the_table_of_topics_has_aligned_columns() -> None:
         Topic(name="/a", type="p/msg/Long", channels=(known,)),
         Topic(name="/longer", type="p/B", channels=(channel(),)),
     ]
-    assert table(topics).splitlines() == [
+    assert listing(list(map(candidate, topics))).splitlines() == [
         "  /a       p/msg/Long  101 messages  100 Hz  1 s",
         "  /longer  p/B           ? messages",
     ]
-    assert table([]) == ""
+    assert listing([]) == ""
 
 
 @pytest.mark.parametrize(("n", "last"), [(24, "  /a  p/B  ? messages"), (25, "  and 1 more")])
 def test_a_long_table_of_topics_is_cut(n: int, last: str) -> None:
-    lines = table([Topic(name="/a", type="p/B", channels=(channel(),))] * n).splitlines()
+    one = candidate(Topic(name="/a", type="p/B", channels=(channel(),)))
+    lines = listing([one] * n).splitlines()
     assert (len(lines), lines[-1]) == (n, last)
+
+
+def temperatures(topic: str, degrees: float) -> list[Message]:
+    """Return 40 messages of a temperature, or of a text if the topic's name says so."""
+    types = store()
+    kind = "std_msgs/msg/String" if topic.endswith("text") else "sensor_msgs/msg/Temperature"
+    messages = []
+    for stamp, log in zip(samples(40).stamps.tolist(), samples(40).log.tolist(), strict=True):
+        if kind == "std_msgs/msg/String":
+            content = types.types[kind](data="warm")
+        else:
+            content = types.types[kind](header=header(types, stamp), temperature=degrees, variance=0.0)
+        messages.append(
+            Message(topic=topic, type=kind, log=log, data=bytes(types.serialize_cdr(content, kind)))
+        )
+    return messages
 
 
 @pytest.mark.parametrize(
@@ -152,21 +173,13 @@ def test_a_long_table_of_topics_is_cut(n: int, last: str) -> None:
     ],
 )
 def test_the_only_temperature_in_the_imus_namespace_is_read(
-    names: list[str], imu: str, read: str | None
+    names: list[str], imu: str, read: str | None, tmp_path: Path
 ) -> None:
     """Temperatures in other namespaces can belong to other devices, and empty topics are ignored."""
-    topics = [
-        Topic(
-            name=name,
-            type="std_msgs/msg/String" if name.endswith("text") else "sensor_msgs/msg/Temperature",
-            channels=(channel(count=0 if name.endswith("empty") else None),),
-        )
-        for name in names
-    ]
-    found = temperature_topic(topics, imu)
-    assert (found.name if found else None) == read
-
-
-def test_an_unreadable_temperature_is_ignored() -> None:
-    topic = Topic(name="/imu/temp", type="sensor_msgs/msg/Temperature", channels=(channel(),))
-    assert read_temperature([], topic) is None
+    messages = imu_messages(samples(40), topic=imu)
+    for number, name in enumerate(names):
+        if not name.endswith("empty"):
+            messages += temperatures(name, 20.0 + number)
+    heat = read_log(write_mcap(tmp_path / "log.mcap", messages)).temperature
+    expected = None if read is None else 20.0 + names.index(read)
+    assert (None if heat is None else float(heat.samples[0])) == expected

@@ -11,8 +11,7 @@ import pytest
 from imucal.readers.containers import Batch, Loss, Task
 from imucal.readers.files import DamagedError
 from imucal.readers.messages import loader
-from imucal.readers.messages.loader import Decoding, Stream, decode
-from imucal.readers.store import Block
+from imucal.readers.messages.loader import Block, Decoding, Stream, decode
 
 TYPES = [np.int64, np.float64]
 

@@ -9,12 +9,16 @@ from typing import Any
 import pytest
 
 from imucal.errors import ChoiceError, ReadError
+from imucal.readers.candidates import Candidate, is_command
+from imucal.readers.choose import candidates_of
+from imucal.readers.clocks import LOG_TIME
 from imucal.readers.containers import Channel
 from imucal.readers.messages import schemas
 from imucal.readers.messages.definitions import DefinitionError, defined, read_definitions
 from imucal.readers.messages.schemas import protobuf_leaves
-from imucal.readers.messages.topics import Topic, find_topics, is_command, plan_of
+from imucal.readers.messages.topics import Topic, find_topics
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.tables.column_log import ColumnLog
 from imucal.readers.tables.plan import SensorPlan, TablePlan
 from imucal.recording import Sensor
 from tests.raising import raises
@@ -26,19 +30,28 @@ IMU = "===\nMSG: pkg/Imu\nbuiltin_interfaces/Time stamp\nfloat64 temp\nfloat64[3
 HEADER = "===\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
 
 
-def found(text: str, *, name: str = "pkg/M", topic: str = "/t", **options: Any) -> Topic:  # noqa: ANN401
+def topic_of(text: str, name: str, topic: str, options: ReadOptions) -> Topic:
     """Return a topic of a log without messages."""
     channel = Channel(
         key=1, topic=topic, type=name, encoding="cdr", definition=text, definition_kind="ros2msg"
     )
     container: Any = SimpleNamespace(channels=[channel])
-    (one,) = find_topics([container], ReadOptions(**options))
+    (one,) = find_topics([container], options)
     return one
 
 
-def planned(topic: Topic, **options: Any) -> TablePlan:  # noqa: ANN401 - options of any kind
-    """Return the plan of a topic, derived only from its names."""
-    return plan_of([], topic, ReadOptions(**options))[0]
+def found(text: str, *, name: str = "pkg/M", topic: str = "/t", **options: Any) -> Candidate:  # noqa: ANN401
+    """Return a topic of a log without messages as a candidate."""
+    asked = ReadOptions(**options)
+    log = ColumnLog(Path("log"), {})
+    log.tables = [topic_of(text, name, topic, asked).table([], asked)]
+    (one,) = candidates_of(log, asked)
+    return one
+
+
+def planned(topic: Candidate) -> TablePlan:
+    """Return the columns of a topic, chosen only by its names."""
+    return topic.plan
 
 
 def paths(plan: TablePlan) -> dict[Sensor, tuple[str, ...]]:
@@ -47,8 +60,10 @@ def paths(plan: TablePlan) -> dict[Sensor, tuple[str, ...]]:
 
 
 def time_of(sensor: SensorPlan) -> tuple[str, int | None] | None:
-    """Return the name of a sensor's time and its ns per count."""
-    return (sensor.time.name, sensor.time.ns) if sensor.time else None
+    """Return the name of a sensor's time and its ns per count; None for the log time."""
+    if sensor.time is None or sensor.time.name == LOG_TIME:
+        return None
+    return sensor.time.name, sensor.time.ns
 
 
 @pytest.mark.parametrize(
@@ -124,7 +139,7 @@ def test_several_imus_in_a_message_require_a_choice() -> None:
         planned(topic)
     for side in ("left", "right"):
         asked = {"columns": f"g={side}.gyro,a={side}.accel,t={side}.stamp"}
-        plan = planned(found("pkg/Imu left\npkg/Imu right\n" + IMU, **asked), **asked)
+        plan = found("pkg/Imu left\npkg/Imu right\n" + IMU, **asked).plan
         assert paths(plan)[ACCEL] == tuple(f"{side}.accel[{i}]" for i in range(3))
         assert time_of(plan.sensors[0]) == (f"{side}.stamp", 1)
 
@@ -160,7 +175,7 @@ def test_the_name_of_a_topic_can_contain_one_sensor(topic: str, sensor: Sensor |
     """A topic with a sensor in its name is read only if the user names it."""
     one = found("float64 x\nfloat64 y\nfloat64 z", name="geometry_msgs/msg/Vector3", topic=topic)
     assert one.sensors == ((sensor,) if sensor else ())
-    assert one.plain == bool(one.sensors)
+    assert one.weak == bool(one.sensors)
     stamped = found("geometry_msgs/Vector3 vector\n" + V3, name="geometry_msgs/Vector3Stamped", topic=topic)
     assert stamped.sensors == one.sensors
 
@@ -179,7 +194,7 @@ def test_the_order_of_named_topics_gives_the_sensors() -> None:
     assert paths(planned(one)) == {GYRO: ("angular.x", "angular.y", "angular.z")}
     one = found(twist, name="geometry_msgs/Accel")
     assert paths(planned(one)) == {ACCEL: ("accel.linear.x", "accel.linear.y", "accel.linear.z")}
-    assert one.plain
+    assert one.weak
 
 
 def test_increments_of_px4_become_rates() -> None:
@@ -190,7 +205,8 @@ def test_increments_of_px4_become_rates() -> None:
         topic = found(text + f"uint32 delta_angle_dt\nuint32 {span}", name=kind)
         plan = planned(topic)
         assert time_of(plan.sensors[0]) == ("timestamp_sample", 1000)
-        decoded = {topic.columns[index].path for sensor in plan.sensors for index in sensor.triad.indices}
+        numbers = topic_of(text + f"uint32 delta_angle_dt\nuint32 {span}", kind, "/t", ReadOptions()).numbers
+        decoded = {numbers[index].path for sensor in plan.sensors for index in sensor.triad.indices}
         assert decoded == {
             *(f"delta_angle[{i}]/delta_angle_dt" for i in range(3)),
             *(f"delta_velocity[{i}]/{span}" for i in range(3)),
@@ -200,9 +216,9 @@ def test_increments_of_px4_become_rates() -> None:
     for name, sensor in (("SensorGyro", GYRO), ("SensorAccel", ACCEL)):
         topic = found(text, name=f"px4_msgs/msg/{name}")
         plan = planned(topic)
-        assert (topic.plain, paths(plan)) == (False, {sensor: ("x", "y", "z")})
+        assert (topic.weak, paths(plan)) == (False, {sensor: ("x", "y", "z")})
         assert plan.temperature is not None
-        assert topic.columns[plan.temperature].name == "temperature"
+        assert topic.table.columns[plan.temperature].name == "temperature"
     assert found(text, name="px4_msgs/msg/SensorMag").sensors == ()
     plan = planned(
         found("uint64 timestamp\nfloat32[3] gyro_rad\nfloat32[3] accelerometer_m_s2", name="px4_msgs/X")

@@ -509,7 +509,7 @@ def test_a_path_with_a_valid_index_is_found(path: str, there: bool) -> None:  # 
     )
     container: Any = SimpleNamespace(channels=[channel])
     (topic,) = find_topics([container], ReadOptions(columns=f"g={path}+a+a" if "[" in path else f"g={path}"))
-    names = [column.name for column in topic.columns]
+    names = [number.name for number in topic.numbers]
     assert (path in names or f"{path}[2]" in names) == there
 
 

@@ -9,8 +9,8 @@ import pytest
 from imucal.arrays import FloatArray
 from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.reading import read_one as read
 from imucal.readers.scales import infer_accel_unit, infer_gyro_unit
-from imucal.readers.tables.text_table import read
 from imucal.units import G0
 from tests.readers.tables.texts import N, lines, own_counts, own_plain, seconds, truth, xyz
 

@@ -10,8 +10,8 @@ import pytest
 
 from imucal.errors import ImucalError
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.reading import read_one as read
 from imucal.readers.tables import text_source
-from imucal.readers.tables.text_table import read
 from tests.readers.tables.texts import STYLES, Style, write
 from tests.slow_cases import first_by_default
 

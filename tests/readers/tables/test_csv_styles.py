@@ -8,8 +8,9 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
+from imucal.readers.formats import describe_log as describe
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables.text_table import describe, read
+from imucal.readers.reading import read_one as read
 from imucal.recording import Recording, Sensor
 from tests.readers.tables.texts import STYLES, N, Style, truth, write
 

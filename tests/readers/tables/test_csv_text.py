@@ -4,7 +4,6 @@ import bz2
 import gzip
 import io
 import lzma
-import mmap
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,12 +15,14 @@ import zstandard
 
 from imucal.arrays import FloatArray
 from imucal.errors import ChoiceError, DataError, ReadError
+from imucal.readers import description
+from imucal.readers.formats import describe_log as describe
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables import text_source, text_table
-from imucal.readers.tables.text_table import read
+from imucal.readers.reading import read_one as read
+from imucal.readers.tables import text_source
 from imucal.recording import Recording
 from tests.raising import raises
-from tests.readers.tables.texts import N, euroc, lines, seconds, truth, xyz
+from tests.readers.tables.texts import N, lines, seconds, truth, xyz
 
 HEADER = "time (s),gyro_x (rad/s),gyro_y (rad/s),gyro_z (rad/s),acc_x (m/s^2),acc_y (m/s^2),acc_z (m/s^2)"
 
@@ -291,21 +292,6 @@ def test_quoted_cells_can_contain_delimiters(tmp_path: Path) -> None:
     npt.assert_array_equal(table(read(store(tmp_path, content), ReadOptions())), expected())
 
 
-def test_above_the_memory_limit_the_samples_are_in_a_file(tmp_path: Path) -> None:
-    """The samples are equal and stored in a memory map."""
-    recording = read(store(tmp_path, euroc(truth())), ReadOptions(memory_limit=10_000))
-    npt.assert_array_equal(table(recording), expected())
-    assert backing(recording.series[0].samples)
-
-
-def backing(array: FloatArray) -> bool:
-    """Return whether an array is a view of a memory map."""
-    base: object = array
-    while isinstance(base, np.ndarray):
-        base = base.base
-    return isinstance(base, memoryview) and isinstance(base.obj, mmap.mmap)
-
-
 def test_progress_increases_to_the_file_size(tmp_path: Path) -> None:
     """Each progress call gets the number of bytes read and the total."""
     calls: list[tuple[int, int]] = []
@@ -319,9 +305,12 @@ def test_progress_increases_to_the_file_size(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", "the text is empty; expected a table of numbers"),
+        (b"", "the file is empty; expected a log"),
         (b"\n\n \n", "the text is empty; expected a table of numbers"),
-        (bytes(range(256)) * 40, "binary data, not text; expected a table of numbers, or another format"),
+        (
+            b"a,b" + bytes(range(1, 9)) * 400 + b"\n",
+            "binary data, not text; expected a table of numbers, or another format",
+        ),
         (
             b"hello\nworld\nagain\n",
             ("found no rows of numbers; the first line is 'hello'; expected a table with a row per sample"),
@@ -361,9 +350,9 @@ def test_the_first_rows_describe_a_large_file(
     pack: Callable[[bytes], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The first rows give columns, units and rate; the number of rows stays unknown."""
-    monkeypatch.setattr(text_table, "_SMALL", 1000)
+    monkeypatch.setattr(description, "_SMALL", 1000)
     monkeypatch.setattr(text_source, "_HEAD", 4096)
-    contents = text_table.describe(store(tmp_path, pack(plain().encode())), ReadOptions())
+    contents = describe(store(tmp_path, pack(plain().encode())), ReadOptions())
     (topic,) = contents.topics
     assert topic.rate_hz == pytest.approx(100)
     assert (topic.count, topic.duration_s, len(topic.sensors)) == (None, None, 2)
@@ -373,13 +362,13 @@ def test_the_first_rows_describe_a_large_file(
 def test_an_ambiguous_table_is_described_with_the_reason(tmp_path: Path) -> None:
     """An ambiguous table has columns that can be listed; a file that is no table is an error."""
     content = lines("time (s),x,y,z", seconds(truth()), *xyz(truth().gyro))
-    (topic,) = text_table.describe(store(tmp_path, content), ReadOptions()).topics
+    (topic,) = describe(store(tmp_path, content), ReadOptions()).topics
     assert topic.sensors == ()
     assert topic.note.startswith(
         "x, y and z (x, y, z) have no sensor in their names; found columns: 0 time (s)"
     )
     with raises(ReadError, "no rows of numbers", place="log.csv"):
-        text_table.describe(store(tmp_path, "hello\nworld\n\n"), ReadOptions())
+        describe(store(tmp_path, "hello\nworld\n\n"), ReadOptions())
 
 
 def test_topics_of_a_table_are_refused(tmp_path: Path) -> None:
@@ -387,7 +376,7 @@ def test_topics_of_a_table_are_refused(tmp_path: Path) -> None:
     path = store(tmp_path, plain())
     with pytest.raises(ChoiceError) as caught:
         read(path, ReadOptions(topics=("/imu",)))
-    text = "a table of text has no topics such as /imu; expected no topic, or a columns text"
+    text = "a table has no topics such as /imu; expected no topic, or a columns text"
     assert str(caught.value) == f"{path}: {text}"
 
 

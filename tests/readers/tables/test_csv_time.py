@@ -8,10 +8,9 @@ import pytest
 
 from imucal.errors import ChoiceError
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.store import Room
+from imucal.readers.reading import read_one as read
 from imucal.readers.tables.dates import parse_texts
 from imucal.readers.tables.stamps import infer_time_unit, to_ns, unwrapped
-from imucal.readers.tables.text_table import read
 from imucal.recording import Recording, Sensor
 from tests.raising import raises
 from tests.readers.tables.texts import EPOCH, N, lines, rostopic, truth, xyz
@@ -116,7 +115,7 @@ def test_stamps_override_the_rate_in_the_preamble(tmp_path: Path) -> None:
 @pytest.mark.parametrize("bits", [8, 16, 32])
 def test_wrapped_counters_are_unwrapped(bits: int) -> None:
     true = np.arange(1000, dtype=np.int64) * 3 + (1 << bits) - 300
-    counts, wraps = unwrapped(true % (1 << bits), Room())
+    counts, wraps = unwrapped(true % (1 << bits))
     npt.assert_array_equal(np.diff(counts), np.diff(true))
     assert wraps == (int(true[-1]) >> bits) - (int(true[0]) >> bits)
 
@@ -124,7 +123,7 @@ def test_wrapped_counters_are_unwrapped(bits: int) -> None:
 def test_a_restart_is_not_a_wrap() -> None:
     """The logger starts again from the middle of the counter's range."""
     counts = np.concatenate([np.arange(1000), np.arange(1000)]) + 20_000
-    result, wraps = unwrapped(counts, Room())
+    result, wraps = unwrapped(counts)
     npt.assert_array_equal(result, counts)
     assert wraps == 0
 
@@ -163,13 +162,13 @@ def test_dates_and_times_of_day_are_parsed_to_the_nanosecond(cell: str, ns: int)
 def test_times_are_converted_to_ns_exactly() -> None:
     """Seconds as doubles become the nearest ns; integers stay exact above 2**53."""
     values = np.array([0.1, 1.25, 1_700_000_000.5, -0.25])
-    assert to_ns(values, 10**9, Room()).tolist() == [
+    assert to_ns(values, 10**9).tolist() == [
         100_000_000,
         1_250_000_000,
         1_700_000_000_500_000_000,
         -250_000_000,
     ]
-    assert to_ns(np.array([2**62 - 1, 5], dtype=np.int64), 1, Room()).tolist() == [2**62 - 1, 5]
+    assert to_ns(np.array([2**62 - 1, 5], dtype=np.int64), 1).tolist() == [2**62 - 1, 5]
 
 
 #: Times at 100 Hz in ms; the first is 1 s before the end of a minute.

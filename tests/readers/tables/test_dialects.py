@@ -10,12 +10,13 @@ import numpy.testing as npt
 import pytest
 
 from imucal.errors import ChoiceError
+from imucal.readers.candidates import Candidate
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.reading import read_one as read
 from imucal.readers.tables import dialects
 from imucal.readers.tables.dialects import DIALECTS, Dialect
 from imucal.readers.tables.names import Role, parse_column
-from imucal.readers.tables.text_source import open_text
-from imucal.readers.tables.text_table import lay_out, plan_of_head, read
+from imucal.readers.tables.text_table import open_log
 from imucal.recording import Sensor
 from imucal.units import SAMPLE_UNITS
 from tests.raising import raises
@@ -70,11 +71,12 @@ def _without_example(dialect: Dialect, folder: Path, styles: Sequence[Style]) ->
     for style in examples:
         given: dict[str, Any] = dict(style.options)
         options = ReadOptions(**given)
-        with open_text(write(style, folder)) as source:
-            names = lay_out(source.name, source.head, options).headers
+        with open_log(write(style, folder), options) as log:
+            (table,) = log.tables
+            names = [column.name for column in table.columns]
             teach = f"{_strange(names)} name none; teach them to imucal/readers/tables/names.py"
             try:
-                plan = plan_of_head(source, options)[1]
+                plan = Candidate(table, options).plan
             except ChoiceError as error:
                 return [f"no sensor is found in its example {style.name!r}: {teach} ({error})"]
         found = plan.dialect

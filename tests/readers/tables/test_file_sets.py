@@ -2,7 +2,6 @@
 
 import os
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,63 +9,11 @@ import numpy as np
 import pytest
 
 from imucal.arrays import FloatArray
-from imucal.clock import Clock
 from imucal.errors import ChoiceError, ReadError
-from imucal.findings import Finding
 from imucal.readers import describe, read
-from imucal.readers.tables.text_table import merge
-from imucal.recording import AxisSeries, Recording, Sensor, Source, Temperature
+from imucal.recording import Sensor
 from tests.raising import raises
 from tests.readers.tables.texts import EPOCH, N, truth
-
-
-def recording(sensor: Sensor, start_ns: int, *texts: str, temperature: bool = False) -> Recording:
-    """Return a recording of one axis, with the given findings and decisions."""
-    clock = replace(Clock.even(4, 10.0), start_ns=start_ns)
-    return Recording(
-        source=Source(
-            path="part", format="csv", topics=(str(sensor),), decisions=tuple((t, t) for t in texts)
-        ),
-        series=(AxisSeries(samples=np.arange(4.0), clock=clock, sensor=sensor, axis="x"),),
-        temperature=Temperature(samples=np.arange(4.0) + start_ns, clock=clock) if temperature else None,
-        findings=tuple(Finding(level="info", code=text, text=text) for text in texts),
-    )
-
-
-def test_two_recordings_are_merged() -> None:
-    """The gyroscope comes first, duplicate findings are removed, and the first temperature is used."""
-    accel = recording(Sensor.ACCELEROMETER, 5, "both", "accel")
-    gyro = recording(Sensor.GYROSCOPE, 7, "both", "gyro", temperature=True)
-    merged = merge([accel, gyro], ["a.csv", "g.csv"], "folder")
-    assert [series.sensor for series in merged.series] == [Sensor.GYROSCOPE, Sensor.ACCELEROMETER]
-    assert [series.clock.start_ns for series in merged.series] == [7, 5]
-    assert merged.source.path == "folder"
-    assert merged.source.topics == (str(Sensor.ACCELEROMETER), str(Sensor.GYROSCOPE))
-    assert merged.source.decisions == (
-        ("files", "a.csv, g.csv"),
-        *(("both", "both"), ("accel", "accel"), ("gyro", "gyro")),
-    )
-    assert [finding.code for finding in merged.findings] == ["both", "accel", "gyro"]
-    assert merged.temperature is gyro.temperature
-
-
-def test_a_single_recording_is_only_renamed() -> None:
-    """The recording gets the name of the set."""
-    gyro = recording(Sensor.GYROSCOPE, 7, "one")
-    merged = merge([gyro], ["g.csv"], "folder")
-    assert merged.source.path == "folder"
-    assert (merged.series, merged.findings) == (gyro.series, gyro.findings)
-    assert merged.source.decisions == gyro.source.decisions
-
-
-def test_equal_clocks_are_shared() -> None:
-    """Findings about a shared clock are reported once."""
-    parts = [recording(Sensor.ACCELEROMETER, 5), recording(Sensor.GYROSCOPE, 5)]
-    first, second = merge(parts, ["a", "g"], "folder").series
-    assert first.clock is second.clock
-    parts = [recording(Sensor.ACCELEROMETER, 5), recording(Sensor.GYROSCOPE, 6)]
-    first, second = merge(parts, ["a", "g"], "folder").series
-    assert (first.clock.start_ns, second.clock.start_ns) == (6, 5)
 
 
 def table(values: FloatArray | None = None, head: str = "time,seconds_elapsed,z,y,x") -> str:
@@ -110,7 +57,7 @@ def test_empty_files_are_skipped(empty: str, packed: bool, tmp_path: Path) -> No
     path = written(tmp_path, files | UNCALIBRATED | META, packed=packed)
     is_truth(path)
     assert describe(path).topics[0].count == N
-    with raises(ChoiceError, r"Gyroscope\.csv has no messages", argument="topic"):
+    with raises(ChoiceError, r"Gyroscope\.csv can't be read: (found no rows of numbers|the text is empty)"):
         read(path, topic="Gyroscope.csv")
 
 
@@ -191,3 +138,30 @@ def test_a_table_that_is_no_file_is_passed_over(kind: str, tmp_path: Path) -> No
     recording = read(folder)
     assert {series.sensor for series in recording.series} == {Sensor.GYROSCOPE}
     assert recording.source.path == str(folder)
+
+
+@pytest.mark.parametrize("packed", [True, False])
+def test_files_of_sensors_become_one_recording(packed: bool, tmp_path: Path) -> None:  # noqa: FBT001
+    """The gyroscope comes first, equal times share a clock, and the decisions name the files."""
+    path = written(tmp_path, {"Accelerometer.csv": table(ACCEL), "Gyroscope.csv": table(GYRO)}, packed=packed)
+    found = read(path)
+    assert [series.name for series in found.series][::3] == ["gyro_x", "accel_x"]
+    assert len({id(series.clock) for series in found.series}) == 1
+    assert found.source.path == str(path)
+    assert found.source.decisions[0] == ("files", "Gyroscope.csv, Accelerometer.csv")
+    assert found.source.topics == ("x", "y", "z") * 2
+
+
+def test_files_with_other_times_have_their_own_clocks(tmp_path: Path) -> None:
+    """Findings name the sensor only if the clocks differ."""
+    later = table(ACCEL).replace(f"{EPOCH}"[:8], f"{EPOCH + 10**12}"[:8])
+    path = written(
+        tmp_path, {"Accelerometer.csv": table(ACCEL[::2]), "Gyroscope.csv": table(GYRO)}, packed=True
+    )
+    gyro, accel = (read(path).axis(sensor, "x") for sensor in ("gyroscope", "accelerometer"))
+    assert (gyro.n, accel.n) == (N, N // 2)
+    assert gyro.clock is not accel.clock
+    (tmp_path / "log.zip").unlink()
+    path = written(tmp_path, {"Accelerometer.csv": later, "Gyroscope.csv": table(GYRO)}, packed=True)
+    with raises(ChoiceError, "not recorded at the same time", place="log.zip"):
+        read(path)

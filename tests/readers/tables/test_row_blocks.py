@@ -17,11 +17,6 @@ def reader(**changes: object) -> BlockReader:
     return BlockReader(layout=layout, kinds=kinds, needed=frozenset({0}), **changes)  # type: ignore[arg-type]
 
 
-def test_the_default_limits_are_inactive() -> None:
-    """No column reaches the default memory limit, and no number of rows is expected."""
-    assert (reader().limit, reader().expected, reader().rows) == (1 << 62, 0, None)
-
-
 def column(kind: Kind, *cells: str, needed: bool = True) -> list[float]:
     """Return the values of a column with some cells, each after a one."""
     layout = TextLayout(width=2, rows=(), headers=("n", "t"))

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from imucal.arrays import FloatArray
-from imucal.readers.store import Room
 from imucal.readers.tables.dates import DAY, NO_STAMP, parse_texts
 from imucal.readers.tables.stamps import (
     infer_time_unit,
@@ -93,7 +92,7 @@ def test_the_typical_step_is_the_sampling_period(values: list[float], step: floa
     ],
 )
 def test_a_counter_wraps_from_the_end_to_the_start_of_its_range(counts: list[int], turns: int) -> None:
-    values, found = unwrapped(np.array(counts, dtype=np.int64), Room())
+    values, found = unwrapped(np.array(counts, dtype=np.int64))
     assert found == turns
     if turns == 0:
         assert values.tolist() == counts
@@ -117,7 +116,7 @@ def test_a_counter_wraps_from_the_end_to_the_start_of_its_range(counts: list[int
 def test_a_time_of_day_that_falls_by_half_a_day_is_the_next_day(
     stamps: list[int], expected: list[int]
 ) -> None:
-    assert rolled(np.array(stamps, dtype=np.int64), DAY, Room()).tolist() == expected
+    assert rolled(np.array(stamps, dtype=np.int64), DAY).tolist() == expected
 
 
 @pytest.mark.parametrize(
@@ -138,19 +137,19 @@ def test_times_with_zones_are_parsed_to_ns(cell: str, ns: int) -> None:
 def test_counts_beyond_int64_start_at_zero() -> None:
     """Integers are counted from their first value; floats become zero."""
     most = (1 << 62) // 1000
-    assert to_ns(np.array([most, most - 1]), 1000, Room()).tolist() == [most * 1000, (most - 1) * 1000]
-    assert to_ns(np.array([most + 1, most + 2]), 1000, Room()).tolist() == [0, 1000]
-    assert to_ns(np.array([-most - 1, -most]), 1000, Room()).tolist() == [0, 1000]
-    assert to_ns(np.array([1e30, 2.5]), 1000, Room()).tolist() == [0, 2500]
+    assert to_ns(np.array([most, most - 1]), 1000).tolist() == [most * 1000, (most - 1) * 1000]
+    assert to_ns(np.array([most + 1, most + 2]), 1000).tolist() == [0, 1000]
+    assert to_ns(np.array([-most - 1, -most]), 1000).tolist() == [0, 1000]
+    assert to_ns(np.array([1e30, 2.5]), 1000).tolist() == [0, 2500]
 
 
 def test_a_repeated_count_is_not_a_wrap() -> None:
     """The steps are so large that a wrap could skip a complete period."""
     counts = np.array([0, 3, 6, 6, 9], dtype=np.int64)
-    found, wraps = unwrapped(counts, Room())
+    found, wraps = unwrapped(counts)
     assert (found.tolist(), wraps) == (counts.tolist(), 0)
     # The same count next to a wrap.
-    found, wraps = unwrapped(np.array([250, 253, 253, 0, 3], dtype=np.int64), Room())
+    found, wraps = unwrapped(np.array([250, 253, 253, 0, 3], dtype=np.int64))
     assert (found.tolist(), wraps) == ([250, 253, 253, 256, 259], 1)
 
 

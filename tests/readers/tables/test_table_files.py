@@ -12,10 +12,10 @@ import scipy.io
 
 from imucal.errors import ChoiceError, ReadError
 from imucal.readers import read
-from imucal.readers.messages.topics import cells_of
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables import typed_table
-from imucal.readers.tables.passed import Notes
+from imucal.readers.reading import read_one
+from imucal.readers.table import cells_of
+from imucal.readers.tables.notes import Notes
 from imucal.readers.tables.typed_table import _flatten, _of_array, _of_arrays, _plain, open_table
 from tests.raising import raises
 from tests.readers.tables.hdf5_logs import write_hdf5
@@ -141,7 +141,7 @@ def test_gaps_are_searched_in_the_first_400_rows(at: int, gaps: bool, tmp_path: 
     values = np.random.default_rng(3).normal(size=(500, 3))
     values[at] = np.nan
     path = save(tmp_path / "log.npz", t_ns=np.arange(500) * 10_000_000, gyro=values)
-    found = typed_table.read(path, ReadOptions(gyro_unit="rad/s")).series[0]
+    found = read_one(path, ReadOptions(gyro_unit="rad/s")).series[0]
     assert (found.n, found.clock.missing if at else 0) == (499 if gaps else 500, int(gaps and at > 0))
 
 
@@ -189,14 +189,14 @@ def test_a_sensor_in_two_tables_requires_a_choice(tmp_path: Path) -> None:
     path = save(tmp_path / "log.npz", gyro=values, gyro_raw=values[:50], accel=values)
     options = ReadOptions(rate_hz=10.0, gyro_unit="rad/s", accel_unit="m/s^2")
     with pytest.raises(ChoiceError) as caught:
-        typed_table.read(path, options)
+        read_one(path, options)
     assert str(caught.value) == (
         f"{path}: 2 topics carry IMU samples; choose one of these topics\n"
         "  60 rows  table  60 messages\n"
         "  50 rows  table  50 messages"
     )
     for n in (60, 50):
-        found = typed_table.read(path, replace(options, topics=(f"{n} rows",)))
+        found = read_one(path, replace(options, topics=(f"{n} rows",)))
         assert found.series[0].n == n
 
 
@@ -204,11 +204,11 @@ def test_a_columns_text_refers_to_the_widest_and_longest_table(tmp_path: Path) -
     """The columns of other arrays have no numbers."""
     values = np.random.default_rng(1).normal(size=(50, 4))
     path = save(tmp_path / "log.npz", one=np.zeros(90), four=values, two=np.zeros((70, 2)))
-    found = typed_table.read(path, ReadOptions(columns="g=1:4", rate_hz=10.0, gyro_unit="rad/s"))
+    found = read_one(path, ReadOptions(columns="g=1:4", rate_hz=10.0, gyro_unit="rad/s"))
     np.testing.assert_array_equal([series.samples for series in found.series], values.T[1:])
     longer = np.random.default_rng(2).normal(size=(60, 4))
     path = save(tmp_path / "log.npz", four=values, more=longer)
-    found = typed_table.read(path, ReadOptions(columns="g=1:4", rate_hz=10.0, gyro_unit="rad/s"))
+    found = read_one(path, ReadOptions(columns="g=1:4", rate_hz=10.0, gyro_unit="rad/s"))
     np.testing.assert_array_equal([series.samples for series in found.series], longer.T[1:])
 
 
@@ -216,11 +216,11 @@ def test_tables_without_a_sensor_are_skipped(tmp_path: Path) -> None:
     """If none has a sensor, the error describes the widest table."""
     values = np.random.default_rng(1).normal(size=(50, 3))
     path = save(tmp_path / "log.npz", other=np.zeros(90), gyro=values)
-    found = typed_table.read(path, ReadOptions(rate_hz=10.0, gyro_unit="rad/s"))
+    found = read_one(path, ReadOptions(rate_hz=10.0, gyro_unit="rad/s"))
     assert [series.name for series in found.series] == ["gyro_x", "gyro_y", "gyro_z"]
     path = save(tmp_path / "log.npz", other=np.zeros(90), more=np.zeros((70, 2)))
     with raises(ChoiceError, "found columns: 0 more", place="log.npz", argument="columns"):
-        typed_table.read(path, ReadOptions(rate_hz=10.0))
+        read_one(path, ReadOptions(rate_hz=10.0))
 
 
 def test_numbers_as_texts_are_read(tmp_path: Path) -> None:
@@ -232,11 +232,13 @@ def test_numbers_as_texts_are_read(tmp_path: Path) -> None:
     }
     path = tmp_path / "log.parquet"
     pl.DataFrame(columns).write_parquet(path)
-    found = typed_table.read(path, ReadOptions(gyro_unit="rad/s"))
+    found = read_one(path, ReadOptions(gyro_unit="rad/s"))
     np.testing.assert_array_equal(found.series[0].samples, values)
     pl.DataFrame(columns | {"gy": ["wrong"] * 50}).write_parquet(path)
-    with raises(ChoiceError, "not numbers: .*'wrong'", place="log.parquet", argument="columns"):
-        typed_table.read(path, ReadOptions(gyro_unit="rad/s"))
+    with raises(
+        ChoiceError, "column gy does not contain numbers: .*'wrong'", place="log.parquet", argument="columns"
+    ):
+        read_one(path, ReadOptions(gyro_unit="rad/s"))
 
 
 @pytest.mark.parametrize("name", ["log.npz", "log.npy", "log.mat", "log.h5"])

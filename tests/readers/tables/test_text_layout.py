@@ -1,12 +1,12 @@
 """Errors about texts with an ambiguous layout or ambiguous columns."""
 
 import re
+from pathlib import Path
 
 import pytest
 
 from imucal.errors import ChoiceError, ReadError
-from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables.text_table import lay_out
+from imucal.readers import read
 
 
 @pytest.mark.parametrize(
@@ -16,7 +16,7 @@ from imucal.readers.tables.text_table import lay_out
             ["", " hello " + "x" * 90],
             ReadError,
             (
-                f"log.csv: found no rows of numbers; the first line is {'hello ' + 'x' * 74!r}; "
+                f"/log.csv: found no rows of numbers; the first line is {'hello ' + 'x' * 74!r}; "
                 "expected a table with a row per sample"
             ),
         ),
@@ -24,14 +24,18 @@ from imucal.readers.tables.text_table import lay_out
             [f"{i},0.1,0.2,9.8" for i in range(5)],
             ChoiceError,
             (
-                "log.csv: the 4 columns have no header; found columns: "
+                "/log.csv: the 4 columns have no header; found columns: "
                 "0 0, 1 0.1, 2 0.2, 3 9.8; name them in a columns text of the form t=TIME,g=X+Y+Z,a=X+Y+Z "
                 "(names of columns, or their numbers from 0)"
             ),
         ),
     ],
 )
-def test_an_ambiguous_layout_is_refused(lines: list[str], error: type[Exception], text: str) -> None:
+def test_an_ambiguous_layout_is_refused(
+    lines: list[str], error: type[Exception], text: str, tmp_path: Path
+) -> None:
     """The error reports the content, the expected form and what to do."""
-    with pytest.raises(error, match=f"^{re.escape(text)}$"):
-        lay_out("log.csv", lines, ReadOptions())
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    with pytest.raises(error, match=f"{re.escape(text)}$"):
+        read(path)

@@ -14,6 +14,7 @@ import pytest
 
 from imucal.errors import ReadError
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.reading import read_one as read
 from imucal.readers.tables.text_source import (
     CountedStream,
     TextSource,
@@ -22,7 +23,6 @@ from imucal.readers.tables.text_source import (
     open_text,
     read_fully,
 )
-from imucal.readers.tables.text_table import read
 from tests.raising import raises
 
 

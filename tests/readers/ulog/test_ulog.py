@@ -11,8 +11,9 @@ from pyulog import ULog
 from imucal.arrays import FloatArray
 from imucal.errors import ChoiceError, ImucalError, ReadError
 from imucal.readers import read as read_any
-from imucal.readers.flight_logs import describe, read
+from imucal.readers.formats import describe_log as describe
 from imucal.readers.read_options import ReadOptions
+from imucal.readers.reading import read_one as read
 from imucal.readers.ulog_walk import walk
 from imucal.recording import Sensor
 from tests.raising import raises

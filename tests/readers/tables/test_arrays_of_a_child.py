@@ -1,4 +1,4 @@
-"""Arrays that a child process reads in parts equal those read at once."""
+"""Arrays that a child process passes in files equal those in the log."""
 
 from pathlib import Path
 from typing import Any
@@ -9,26 +9,18 @@ import numpy.testing as npt
 import polars as pl
 import pytest
 
-from imucal.readers.tables import passed, typed_table
-from imucal.readers.tables.passed import cut, taken, written
 from imucal.readers.tables.typed_table import write_arrays
-
-pytestmark = pytest.mark.usefixtures("small_pieces")
 
 VALUES = np.random.default_rng(3).normal(size=(5, 401, 3))
 
 
-@pytest.fixture
-def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Read a hundred numbers at a time."""
-    monkeypatch.setattr(passed, "PIECE", 800)
-    monkeypatch.setattr(typed_table, "PIECE", 800)
-
-
 def through(kind: str, path: Path) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, str]]:
     """Return the arrays of a file and its objects."""
-    found, notes = write_arrays(kind, path, path.with_suffix(".arrays"))
-    return taken(found, path.with_suffix(".arrays")), notes.objects
+    folder = path.parent / "arrays"
+    folder.mkdir()
+    names, notes = write_arrays(kind, path, folder)
+    files = [folder / f"{number}.npy" for number in range(len(names))]
+    return dict(zip(names, map(np.load, files), strict=True)), notes.objects
 
 
 @pytest.mark.parametrize("chunks", [None, True, (5, 7, 3), (1, 401, 1)])
@@ -94,40 +86,3 @@ def test_parquet_columns_of_all_types_are_read(tmp_path: Path) -> None:
     assert found["text"].tolist() == ["a"] * 401
     assert found["pair.v"][2] == 5.0
     assert found["list[1]"][:4].tolist()[2] == 2.0
-
-
-@pytest.mark.parametrize(("limit", "mapped"), [("1G", False), ("1k", True)])
-def test_large_arrays_are_in_temporary_files(
-    limit: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, mapped: bool
-) -> None:
-    """Arrays in files have the same values as arrays in memory."""
-    monkeypatch.setenv("IMUCAL_MEMORY", limit)
-    parts = [("a", 1, [VALUES[0, :300], VALUES[0, 300:]]), ("text", 0, [np.array(["x", None])])]
-    found = taken(written(parts, tmp_path / "arrays"), tmp_path / "arrays")
-    npt.assert_array_equal(found["a"], np.moveaxis(VALUES[0], 0, 1))
-    assert found["text"].tolist() == ["x", None]
-    base = found["a"]
-    while isinstance(base.base, np.ndarray):
-        base = base.base
-    assert base.flags.owndata != mapped
-
-
-def test_a_truncated_file_of_arrays_is_refused(tmp_path: Path) -> None:
-    """The disk may be full."""
-    found = written([("a", 0, [VALUES[0]])], tmp_path / "arrays")
-    (tmp_path / "arrays").write_bytes(b"12345")
-    with pytest.raises(ValueError, match="an array ends after 5 of 9624 bytes"):
-        taken(found, tmp_path / "arrays")
-
-
-def test_slices_consist_of_complete_chunks() -> None:
-    """Each chunk is unpacked once. A chunk larger than a part is read completely."""
-    assert [(s.start, s.stop) for s in cut((250, 2), 8)] == [
-        (0, 50),
-        (50, 100),
-        (100, 150),
-        (150, 200),
-        (200, 250),
-    ]
-    assert next(cut((250, 2), 8, 40)) == slice(0, 40)
-    assert next(cut((250, 2), 8, 400)) == slice(0, 400)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.tables.text_table import read
+from imucal.readers.reading import read_one as read
 
 
 @pytest.mark.parametrize(
