@@ -19,7 +19,7 @@ BELOW: dict[str, set[str]] = {
     "atomic": {"errors"},
     "clock": {"errors", "frozen"},
     "display": set(),
-    "evidence": {"units"},
+    "evidence": {"arrays", "units"},
     "locks": set(),
     "multiple_tests": set(),
     "printable": set(),

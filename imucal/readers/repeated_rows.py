@@ -8,6 +8,7 @@ import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.errors import ChoiceError
+from imucal.evidence import share_together
 from imucal.findings import Finding
 from imucal.readers.clocks import repeats
 from imucal.readers.sensor_rows import SensorRows
@@ -16,8 +17,6 @@ from imucal.readers.work import Work
 
 #: Above this share of repeated rows, the sensor is slower than the log; below, samples were sent twice.
 _MAX_REPEATED = 0.1
-#: Smallest share of samples that repeat the previous one on all axes for them to be dropped.
-_MIN_HELD = 0.005
 #: Fewest samples that must remain.
 _MIN_REMAINING = 64
 #: A step that differs from the median by this share is irregular; jitter of usual drivers is smaller.
@@ -107,7 +106,7 @@ def without_held(work: Work, columns: SensorRows) -> SensorRows:
     axes, n = columns.axes, columns.n
     if len(axes) < 2 or n <= _MIN_REMAINING or work.options.rate_hz is not None:
         return columns
-    together = _share_held(axes)
+    together = share_together([np.diff(axis[:_LOOKED_AT]) == 0 for axis in axes])
     if not together or (1 - together) * n < _MIN_REMAINING:
         return columns
     stamps = _stamps_alone(work, columns)
@@ -154,16 +153,6 @@ def _stamps_alone(work: Work, columns: SensorRows) -> IntArray | None:
         return stamps_of(work.silent(), columns.place, plan.time, columns.time, plan.triad.sensor)
     except ChoiceError:
         return None
-
-
-def _share_held(axes: Sequence[FloatArray]) -> float:
-    """Return the share of samples that repeat the previous one on all axes; 0 if chance explains it."""
-    some = [np.diff(axis[:_LOOKED_AT]) == 0 for axis in axes]
-    shares = [float(repeated.mean()) for repeated in some]
-    together, apart = float(np.all(some, axis=0).mean()), float(np.prod(shares))
-    # Coarse samples repeat by chance, on each axis alone.
-    by_chance = together - apart <= 0.5 * (min(shares) - apart)
-    return 0.0 if together < _MIN_HELD or by_chance else together
 
 
 def _irregular(steps: IntArray) -> int:

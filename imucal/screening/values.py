@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 
 from imucal.arrays import BoolArray, FloatArray
 from imucal.errors import Fix
-from imucal.evidence import GYRO_STEPS, MAX_GYRO_NOISE, STEP_TOLERANCE, is_gravity_per_sample
+from imucal.evidence import (
+    FASTEST_AT_REST,
+    GRAVITY_TOLERANCE,
+    MAX_GYRO_NOISE,
+    gravity_unit,
+    gyroscope_step_unit,
+    is_gravity_per_sample,
+    share_together,
+)
 from imucal.findings import Finding, Level
 from imucal.recording import Sensor, Temperature
 from imucal.screening.windows import Profile, amount, excerpt
@@ -25,8 +33,6 @@ _LIMIT_RATIO = 5.0
 _MIN_STEPS = 4.0
 #: Fraction of samples that are not finite from which they are a warning.
 _MANY = 1e-3
-#: Repeated samples below this fraction are not reported.
-_MIN_REPEATS = 0.005
 #: Noise, in LSB, below which LSB^2/12 cannot correct N.
 _COARSE = 0.5
 #: White noise of two axes never has this correlation; a duplicated column does.
@@ -171,13 +177,8 @@ def _interpolated(group: list[Profile]) -> float:
 
 def _together(group: list[Profile], marked: Callable[[Profile, FloatArray], BoolArray]) -> float:
     """Return the share of samples marked on all axes; 0 if chance explains it."""
-    shares = []
-    for part in excerpt(group[0].series.n):
-        marks = np.stack([marked(p, p.series.samples[part]) for p in group])
-        shares.append([marks.all(axis=0).mean(), *marks.mean(axis=1)])
-    together, *each = np.mean(shares, axis=0).tolist()
-    apart, least = float(np.prod(each)), min(each)
-    return together if together > _MIN_REPEATS and together - apart > 0.5 * (least - apart) else 0.0
+    stretches = [[marked(p, p.series.samples[part]) for p in group] for part in excerpt(group[0].series.n)]
+    return share_together([np.concatenate(marks) for marks in zip(*stretches, strict=True)])
 
 
 def check_lsb(profile: Profile) -> tuple[Finding, ...]:
@@ -220,16 +221,12 @@ def _correlation(one: Profile, two: Profile) -> float:
     return xy / (xx**0.5 * yy**0.5) if xx > 0 and yy > 0 else 0.0
 
 
-#: Range of gravity of an uncalibrated accelerometer, in m/s².
-_GRAVITY = (0.8 * G0, 1.2 * G0)
 #: Length, in m/s², below which there is no gravity in any unit.
 _NO_GRAVITY = 0.3
 #: Largest mean vector without gravity, in m/s².
 _WEIGHTLESS = 0.3 * G0
 #: Smallest deviation of a moving accelerometer, in m/s².
 _SHAKEN = 0.3
-#: Largest bias of a gyroscope, in rad/s.
-_BIASED = 0.4
 
 
 def gravity(profiles: Sequence[Profile]) -> float | None:
@@ -267,7 +264,7 @@ def swapped(profiles: Sequence[Profile]) -> bool:
     gyro, accel = (gravity(_of(sensor, profiles)) for sensor in Sensor)
     if gyro is None or accel is None:
         return False
-    in_si = _GRAVITY[0] < gyro < _GRAVITY[1] and accel < 1
+    in_si = gravity_unit(gyro) == "m/s^2" and accel < 1
     in_g = abs(gyro - 1) < 0.1 and accel < 0.1
     return in_si or in_g
 
@@ -280,7 +277,7 @@ def check_accelerometer_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]
     """Return a finding if the length of gravity does not match m/s²."""
     accel = _of(Sensor.ACCELEROMETER, profiles)
     length = gravity(accel)
-    if length is None or swapped(profiles) or shaken(profiles) or _GRAVITY[0] <= length <= _GRAVITY[1]:
+    if length is None or swapped(profiles) or shaken(profiles) or gravity_unit(length) == "m/s^2":
         return ()
     if is_gravity_per_sample(length, accel[0].series.rate_hz):
         rate = accel[0].series.rate_hz
@@ -320,11 +317,11 @@ def _unit_suspect(sensor: Sensor, text: str, unit: str) -> Finding:
 
 def _accelerometer_guess(accel: Sequence[Profile], length: float) -> tuple[str, str]:
     """Return an explanation of the length of gravity, and the unit to read the log with, if known."""
-    for unit, expected in (("g", 1.0), ("mg", 1e3), ("ug", 1e6)):
-        if abs(length / expected - 1) < 0.15 and not (unit == "mg" and _are_counts(accel)):
-            return f"the unit looks like {unit}", unit
+    unit = gravity_unit(length)
+    if unit is not None and not (unit == "mg" and _are_counts(accel)):
+        return f"the unit looks like {unit}", unit
     # g converted to m/s² twice, or m/s² read as g
-    if abs(length / G0**2 - 1) < 0.15:
+    if abs(length / G0**2 - 1) <= GRAVITY_TOLERANCE:
         return "values in m/s^2 seem to have been read as g", "m/s^2"
     if _are_counts(accel) or length > 1e3:
         return "these look like raw counts", "count"
@@ -349,9 +346,9 @@ def _gyroscope_reason(gyro: Sequence[Profile]) -> str | None:
     """Return the strongest evidence that a gyroscope is in another unit, or None."""
     if _are_counts(gyro):
         return "all its values are whole numbers, like raw counts"
-    known = [p.lsb for p in gyro if p.lsb and any(abs(p.lsb / s - 1) < STEP_TOLERANCE for s in GYRO_STEPS)]
-    if known and len(known) == len(gyro):
-        return f"its steps of {known[0]:.5g} are a usual LSB in deg/s"
+    found = gyroscope_step_unit([p.lsb for p in gyro])
+    if found is not None and found[0] == "deg/s":
+        return f"its steps of {gyro[0].lsb:.5g} are a usual LSB in deg/s"
     density = [p.noise * math.sqrt(p.series.tau0) for p in gyro]
     if density and min(density) >= MAX_GYRO_NOISE:
         return (
@@ -359,7 +356,7 @@ def _gyroscope_reason(gyro: Sequence[Profile]) -> str | None:
             f"be {math.radians(max(density)):.2g} rad/s/sqrt(Hz)"
         )
     rate = gravity(gyro)
-    if rate is not None and rate >= _BIASED:
+    if rate is not None and rate >= FASTEST_AT_REST:
         return f"it shows {rate:.3g} at rest, {math.degrees(rate):.0f} deg/s if in rad/s"
     return None
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
 from imucal.clock import Segment
+from imucal.evidence import value_step
 from imucal.frozen import frozen_alone
 from imucal.recording import AxisSeries, Sensor
 from imucal.units import G0
@@ -239,10 +240,6 @@ def _spikes(table: FloatArray) -> NDArray[np.bool_]:
 _STRETCHES = 16
 #: Length of such a stretch, in samples.
 _STRETCH = 2048
-#: Largest step for the LSB, in LSB.
-_FEW = 12
-#: Tolerance of a multiple, in LSB: decimal and float32 rounding.
-_TOLERANCE = 0.15
 
 
 @frozen_alone
@@ -303,21 +300,7 @@ def excerpt(n: int) -> list[slice]:
 
 def resolution(series: AxisSeries) -> float | None:
     """Return the step between neighbouring values, in U; None if values are constant or not on a lattice."""
-    values = np.unique(np.concatenate([series.samples[part] for part in excerpt(series.n)]))
-    if values.size < 2:
-        return None
-    steps = np.diff(values)
-    # Closer values differ by the rounding of a 32-bit float.
-    steps = steps[steps > 4e-7 * np.abs(values).max()]
-    if not steps.size:
-        return None
-    step = float(steps.min())
-    near = steps[steps < (_FEW + 0.5) * step]
-    if steps.size > 2 and near.size < max(2, steps.size // 4):
-        return None
-    step = float(near.sum() / np.rint(near / step).sum())
-    off = np.abs(near / step - np.rint(near / step))
-    return step if off.max() < _TOLERANCE else None
+    return value_step(np.concatenate([series.samples[part] for part in excerpt(series.n)]))
 
 
 def span(start_s: float, end_s: float) -> str:
