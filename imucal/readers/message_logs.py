@@ -8,7 +8,7 @@ from imucal.findings import Finding
 from imucal.readers.containers.container import Container, Loss, OpenFiles
 from imucal.readers.files import naming, refused
 from imucal.readers.memory import fit_into_memory, too_large
-from imucal.readers.messages.loader import Decoding, decode
+from imucal.readers.messages.loader import MIN_MESSAGE_BYTES, Decoding, decode
 from imucal.readers.messages.topics import Topic, find_topics
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.table import Loaded, Log, Request
@@ -71,7 +71,11 @@ class MessageLog(Log):
 
         Raises DataError if the part does not fit either, or if none is asked for.
         """
-        values = sum((request.table.count or 0) * (1 + len(request.columns)) for request in requests)
+        # Counts can be wrong, so the size of the files limits them.
+        most = (self.size_bytes or 0) // MIN_MESSAGE_BYTES
+        counts = [min(request.table.count or 0, most) for request in requests]
+        columns = [1 + len(request.columns) for request in requests]
+        values = sum(count * width for count, width in zip(counts, columns, strict=True))
         if fit_into_memory(values):
             return None
         first_ns = self._first_ns(requests)

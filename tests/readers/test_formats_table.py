@@ -245,11 +245,11 @@ REFUSED = (
     Known(files=("formats/gnss_ins_sim_time.csv",), message=("it contains only times; write them",)),
     Known(
         files=("formats/px4_ecl_replay_iris_gps.csv",),
-        message=("the 8 columns", "found columns: 0 4000, 1 imu, 2 -0.190396"),
+        message=("the 8 columns", "found columns: 0 = 4000, 1 = imu, 2 = -0.190396"),
     ),
     Known(
         files=("formats/invariant_ekf_tagged.txt",),
-        message=("the 8 columns", "found columns: 0 IMU, 1 0.004500"),
+        message=("the 8 columns", "found columns: 0 = IMU, 1 = 0.004500"),
     ),
     Known(files=("formats/manifest.csv",), message=("the header has 7 names and the rows 8 cells",)),
     Known(files=("formats/euroc_kimera_sensor.yaml",), message=("columns have no header",)),

@@ -35,7 +35,7 @@ _MAX_LOSSES = 1000
 #: After more damaged messages in a row, the others are skipped.
 _MAX_TRIED = 64
 #: Least bytes of a message in a file: an index entry.
-_MIN_MESSAGE_BYTES = 12
+MIN_MESSAGE_BYTES = 12
 
 
 class Decoder(Protocol):
@@ -77,7 +77,7 @@ def decode(
     """
     jobs = list(_jobs(containers, streams, most_chunks))
     # Counts can be wrong, so the file's size limits the reserved memory.
-    most = sum(container.size for container in containers) // _MIN_MESSAGE_BYTES if most_chunks is None else 0
+    most = sum(container.size for container in containers) // MIN_MESSAGE_BYTES if most_chunks is None else 0
     most = 0 if between_ns is not None else most
     outputs = [_Output(stream.types, _stated(containers, stream), most) for stream in streams]
     if sum(output.expected for output in outputs) > _LARGE:

@@ -13,6 +13,8 @@ from imucal.recording import AXES, Axis, Sensor
 
 #: Longest number, in characters, that is not rounded in a message.
 _MAX_DIGITS = 9
+#: Longest text of a cell in a message, in characters.
+_MAX_TEXT = 24
 #: Most columns listed in a message.
 _MAX_LISTED = 60
 
@@ -122,13 +124,8 @@ class NamedTable:
 
     @property
     def listed(self) -> str:
-        """The columns with indices or first cells, for a message."""
-        named, entries = any(column.header for column in self.columns), []
-        for column in self.columns[:_MAX_LISTED]:
-            first = "" if named else next(iter(column.cells), "")
-            if len(first) > _MAX_DIGITS and is_number(first):
-                first = f"{float(first):.6g}"
-            entries.append(f"{column.index} {column.header or first or '(no name)'}")
+        """The columns with indices, names and first values, for a message: ``0 t = 0.01, 1 gx = 0.0012``."""
+        entries = [_entry(column) for column in self.columns[:_MAX_LISTED]]
         more = len(self.columns) - _MAX_LISTED
         return ", ".join(entries) + (f", … {more} more" if more > 0 else "")
 
@@ -174,6 +171,17 @@ class NamedTable:
             wrong=problem,
             example=example,
         )
+
+
+def _entry(column: NamedColumn) -> str:
+    """Return index, name and first value of a column."""
+    name = f"{column.index} {column.header}".rstrip()
+    first = next(iter(column.filled), "")
+    if len(first) > _MAX_DIGITS and is_number(first):
+        first = f"{float(first):.6g}"
+    elif len(first) > _MAX_TEXT:
+        first = first[:_MAX_TEXT] + "…"
+    return f"{name} = {first}" if first else name
 
 
 def parse_columns_text(text: str, table: NamedTable) -> tuple[tuple[Triad, ...], tuple[int, ...], int | None]:

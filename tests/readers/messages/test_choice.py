@@ -176,7 +176,7 @@ def test_a_time_column_of_messages_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ChoiceError) as caught:
         read(path, time="t_us")
     assert str(caught.value).startswith(
-        f"{path}: topic /imu/data: there is no time column 't_us'; found columns: 0 header.stamp, "
+        f"{path}: topic /imu/data: there is no time column 't_us'; found columns: 0 header.stamp = 1.7e+18, "
     )
 
 

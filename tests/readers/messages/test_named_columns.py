@@ -199,7 +199,7 @@ def test_a_list_of_structures_is_read_only_if_it_is_named(tmp_path: Path) -> Non
     message = refused(path)
     assert message == (
         f"{path}: topic /imu/data: no column has the name of a gyroscope or accelerometer axis; found "
-        "columns: 0 header.stamp; name them in a columns text of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names of "
+        "columns: 0 header.stamp = 1.7e+18; name them in a columns text of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names of "
         "columns, or their numbers from 0)"
     )
     units: dict[str, Any] = {"gyro_unit": "rad/s", "accel_unit": "m/s^2"}
@@ -413,7 +413,7 @@ def test_known_protobuf_fields_need_no_columns_text(tmp_path: Path) -> None:
 def test_named_columns_of_protobuf_messages_are_read(tmp_path: Path) -> None:
     """The error lists the columns; list elements are named by their index."""
     path = protobuf_log(tmp_path)
-    assert "1 turning_dps.x, 2 turning_dps.y" in refused(path, topic=TOPIC)
+    assert "1 turning_dps.x = " in refused(path, topic=TOPIC)
     (topic,) = describe(path).topics
     assert topic.fields[-1] == "raw int32[]"
     is_near(read(path, columns="g=turning_dps,a=push_g", gyro_unit="deg/s", accel_unit="g"))

@@ -363,6 +363,15 @@ def refused(folder: Path, content: str, name: str = "log.csv", **options: object
     return caught.value.sentence
 
 
+def listed(content: str) -> str:
+    """Return the columns of a text as an error lists them: names and first values."""
+    header, first = (line.split(",") for line in content.split("\n")[:2])
+    values = [cell if len(cell) < 10 else f"{float(cell):.6g}" for cell in first]
+    return ", ".join(
+        f"{at} {name} = {value}" for at, (name, value) in enumerate(zip(header, values, strict=True))
+    )
+
+
 HOW = "(numbers from 0 without the end, or three names joined by +)"
 
 
@@ -370,7 +379,7 @@ def test_a_table_without_header_is_refused(tmp_path: Path) -> None:
     """The order of the columns is never guessed. The error lists the columns with their first values."""
     content = lines("", seconds(truth()), *xyz(truth().accel), *xyz(truth().gyro), mark=" ")
     first = [cell if len(cell) < 10 else f"{float(cell):.6g}" for cell in content.split("\n")[0].split()]
-    row = ", ".join(f"{i} {cell}" for i, cell in enumerate(first))
+    row = ", ".join(f"{i} = {cell}" for i, cell in enumerate(first))
     assert refused(tmp_path, content) == (
         "the 7 columns have no header; found columns: "
         f"{row}; name them in a columns text of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their "
@@ -392,7 +401,7 @@ def test_a_columns_text_can_select_rows_by_tag(tmp_path: Path) -> None:
             rows.append(",".join([tag, str(1000 + 10 * i), *cells(values)]))
     content = "\n".join(rows) + "\n"
     columns = "t=1,g=2:5@Gyroscope,a=2:5@Accelerometer"
-    assert "found columns: 0 Gyroscope, 1 1000, " in refused(tmp_path, content)
+    assert "found columns: 0 = Gyroscope, 1 = 1000, " in refused(tmp_path, content)
     recording = read(tmp_path / "log.csv", ReadOptions(columns=columns, gyro_unit="deg/s"))
     assert [series.n for series in recording.series] == [N] * 6
     assert recording.axis("accelerometer", "z").samples[0] == pytest.approx(t.accel[0, 2], rel=1e-12)
@@ -403,7 +412,7 @@ def test_a_table_without_sensor_columns_is_refused(tmp_path: Path) -> None:
     content = lines("time (s),lat,lon,alt", seconds(truth()), *xyz(truth().gyro))
     assert refused(tmp_path, content) == (
         "no column has the name of a gyroscope or accelerometer axis; "
-        "found columns: 0 time (s), 1 lat, 2 lon, 3 alt; name them in a columns text of the form "
+        f"found columns: {listed(content)}; name them in a columns text of the form "
         "t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their numbers from 0)"
     )
 
@@ -413,7 +422,7 @@ def test_two_axes_of_three_are_refused(tmp_path: Path) -> None:
     content = lines("time (s),gyro_1,gyro_2,foo", seconds(truth()), *xyz(truth().gyro))
     assert refused(tmp_path, content) == (
         "expected x, y and z of one sensor, found only gyro_1 (gyroscope), gyro_2 (gyroscope); "
-        "found columns: 0 time (s), 1 gyro_1, 2 gyro_2, 3 foo; name them in a columns text of the "
+        f"found columns: {listed(content)}; name them in a columns text of the "
         "form t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their numbers from 0)"
     )
 
@@ -424,8 +433,7 @@ def test_axes_with_different_units_are_refused(tmp_path: Path) -> None:
     content = lines(header, seconds(truth()), *xyz(truth().gyro))
     assert refused(tmp_path, content) == (
         "the axes of the gyroscope have different units (xRate (rad/s) in rad/s, yRate (deg/s) in deg/s, "
-        "zRate (deg/s) in deg/s); expected one unit; found columns: 0 time (s), 1 xRate (rad/s), "
-        "2 yRate (deg/s), 3 zRate (deg/s); give the unit of the gyroscope, or correct the header"
+        f"zRate (deg/s) in deg/s); expected one unit; found columns: {listed(content)}; give the unit of the gyroscope, or correct the header"
     )
     recording = read(tmp_path / "log.csv", ReadOptions(gyro_unit="rad/s"))
     assert recording.series[0].samples[0] == truth().gyro[0, 0]
@@ -440,9 +448,8 @@ def test_two_sets_of_gyroscope_columns_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ChoiceError) as caught:
         read(path, ReadOptions())
     assert caught.value.sentence == (
-        "2 sets of gyroscope columns: gyroADC[0], gyroUnfilt[0]; found columns: 0 t, 1 gyroADC[0], 2 "
-        "gyroADC[1], 3 gyroADC[2], 4 gyroUnfilt[0], 5 gyroUnfilt[1], 6 gyroUnfilt[2]; name them in a "
-        f"columns text such as t=0,g=1:4 or t=0,g=4:7 {HOW}"
+        f"2 sets of gyroscope columns: gyroADC[0], gyroUnfilt[0]; found columns: {listed(content)}; name them "
+        f"in a columns text such as t=0,g=1:4 or t=0,g=4:7 {HOW}"
     )
 
 
@@ -450,7 +457,7 @@ def test_repeated_column_names_are_refused(tmp_path: Path) -> None:
     header = "time (s),gx,gy,gz,gx,gy,gz"
     content = lines(header, seconds(truth()), *xyz(truth().gyro), *xyz(truth().gyro))
     assert refused(tmp_path, content).startswith(
-        "columns 1 and 4 have the same name, 'gx'; found columns: 0 time (s),"
+        "columns 1 and 4 have the same name, 'gx'; found columns: 0 time (s) = 0.000000, 1 gx = "
     )
 
 
@@ -458,7 +465,7 @@ def test_a_table_with_rows_of_two_sensors_is_refused(tmp_path: Path) -> None:
     """ArduPilot logs several IMUs in one table; column I contains their number."""
     message = refused(tmp_path, two_ardupilots(truth()))
     assert message.startswith(
-        "rows of 2 sensors, numbered by column I (0, 1); found columns: 0 TimeUS, 1 I, "
+        "rows of 2 sensors, numbered by column I (0, 1); found columns: 0 TimeUS = 1000000, 1 I = 0, "
     )
     assert message.endswith(f"such as t=0,g=2:5@I:0,a=5:8@I:0 or t=0,g=2:5@I:1,a=5:8@I:1 {HOW}")
 
@@ -467,7 +474,7 @@ def test_x_y_z_without_a_sensor_name_are_refused(tmp_path: Path) -> None:
     """Without units or a file name with a sensor, they could be either sensor."""
     content = lines("time,x,y,z", seconds(truth()), *xyz(truth().gyro))
     assert refused(tmp_path, content) == (
-        "x, y and z (x, y, z) have no sensor in their names; found columns: 0 time, 1 x, 2 y, 3 z; "
+        f"x, y and z (x, y, z) have no sensor in their names; found columns: {listed(content)}; "
         f"name them in a columns text such as t=0,g=1:4 or t=0,a=1:4 {HOW}"
     )
 
@@ -507,7 +514,7 @@ def test_contradicting_options_are_refused(tmp_path: Path) -> None:
         "'g' is not a unit of the gyroscope; expected one such as rad/s, deg/s, mdeg/s or deg/h"
     )
     assert refused(tmp_path, content, time="foo") == (
-        "there is no time column 'foo'; found columns: 0 time (s), 1 gx, 2 gy, 3 gz"
+        f"there is no time column 'foo'; found columns: {listed(content)}"
     )
 
 

@@ -71,7 +71,7 @@ def test_kitti_is_refused_with_a_list_of_its_columns(tmp_path: Path) -> None:
     """The manual contains the columns text for KITTI."""
     path = tmp_path / "oxts.txt"
     path.write_text(kitti(truth()), encoding="utf-8")
-    assert "the 30 columns have no header; found columns: 0 0, " in refused(path)
+    assert "the 30 columns have no header; found columns: 0 = 0, " in refused(path)
     manual = (Path(__file__).parents[3] / "docs" / "formats.md").read_text(encoding="utf-8")
     match = re.search(r"--columns (g=17\S+) --rate (\d+) --gyro-unit ([^`]+)`", manual)
     assert match is not None

@@ -319,7 +319,7 @@ def test_progress_increases_to_the_file_size(tmp_path: Path) -> None:
             b"gx,gy,gz\n" + b"1,2,3,4\n" * 20,
             (
                 "the header has 3 names and the rows 4 cells; found columns: "
-                "0 1, 1 2, 2 3, 3 4; name them in a columns text of the form "
+                "0 = 1, 1 = 2, 2 = 3, 3 = 4; name them in a columns text of the form "
                 "t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their numbers from 0)"
             ),
         ),

@@ -100,7 +100,7 @@ def test_decimal_commas_are_not_a_second_separator(tmp_path: Path) -> None:
 def test_a_header_with_too_few_names_is_reported(tmp_path: Path) -> None:
     """The first row of numbers is listed, and the columns can be given."""
     path = write(tmp_path / "log.csv", TIME, *GYRO.T, *ACCEL.T, header="time,gx,gy,gz")
-    assert "the header has 4 names and the rows 7 cells; found columns: 0 0, 1 " in refused(path)
+    assert "the header has 4 names and the rows 7 cells; found columns: 0 = 0, 1 = " in refused(path)
     is_truth(read(path, columns="t=0,g=1:4,a=4:7", time_unit="s", **SI))
 
 
