@@ -75,8 +75,8 @@ def choose(log: Log, options: ReadOptions) -> list[Choice]:
 
 def _of_topics(log: Log, candidates: Sequence[Candidate], options: ReadOptions) -> list[Choice]:
     """Choose the only topics with IMU samples."""
-    carrying = [one for one in candidates if one.sensors and not one.is_empty]
-    fitting = [one for one in carrying if not one.weak]
+    carrying = [candidate for candidate in candidates if candidate.sensors and not candidate.is_empty]
+    fitting = [candidate for candidate in carrying if not candidate.weak]
     if len(fitting) == 1:
         return [whole(fitting[0], "the only topic with IMU samples")]
     if fitting:
@@ -90,13 +90,13 @@ def _of_topics(log: Log, candidates: Sequence[Candidate], options: ReadOptions) 
 def _of_files(candidates: list[Candidate], options: ReadOptions) -> list[Candidate]:
     """Return the tables of files that may be read."""
     if not candidates[0].table.is_member:
-        return [one for one in candidates if one.sensors] or [_widest(candidates)]
+        return [candidate for candidate in candidates if candidate.sensors] or [_widest(candidates)]
     return candidates if len(candidates) == 1 else _files_of_sensors(candidates, options)
 
 
 def _widest(candidates: Sequence[Candidate]) -> Candidate:
     """Return the table of a file with most columns, whose error lists them."""
-    return max(candidates, key=lambda one: (len(one.table.columns), one.table.count or 0))
+    return max(candidates, key=lambda candidate: (len(candidate.table.columns), candidate.table.count or 0))
 
 
 def _refuse_topics(log: Log, options: ReadOptions) -> None:
@@ -125,31 +125,33 @@ def _choice(candidate: Candidate, sensors: Sequence[Sensor], how: str, advice: s
 def _files_of_sensors(candidates: Sequence[Candidate], options: ReadOptions) -> list[Candidate]:
     """Return the files of an app, the unsuitable ones as weak, or without sensors."""
     left_out = [
-        one for one in candidates if _LEFT_OUT.search(_stem(one)) and one.table.name not in options.topics
+        candidate
+        for candidate in candidates
+        if _LEFT_OUT.search(_stem(candidate)) and candidate.table.name not in options.topics
     ]
-    found = [one for one in candidates if one not in left_out]
-    for one in left_out:
-        one.sensors = ()
-    for one in found:
-        if (named := sensor_of_name(_stem(one))) is not None:
-            one.sensors = (named,)
-    if any(sensor_of_name(_stem(one)) for one in candidates):
+    found = [candidate for candidate in candidates if candidate not in left_out]
+    for candidate in left_out:
+        candidate.sensors = ()
+    for candidate in found:
+        if (named := sensor_of_name(_stem(candidate))) is not None:
+            candidate.sensors = (named,)
+    if any(sensor_of_name(_stem(candidate)) for candidate in candidates):
         # A file of several sensors repeats the samples of the others.
-        for one in candidates:
-            one.weak = sensor_of_name(_stem(one)) is None
+        for candidate in candidates:
+            candidate.weak = sensor_of_name(_stem(candidate)) is None
     for sensor in Sensor:
-        for one in _worse(candidates, sensor):
-            one.weak = True
+        for candidate in _worse(candidates, sensor):
+            candidate.weak = True
     return [*candidates]
 
 
 def _worse(candidates: Sequence[Candidate], sensor: Sensor) -> list[Candidate]:
     """Return a sensor's files other than the one with the best name."""
-    full = [one for one in candidates if sensor in one.sensors and not one.is_empty]
+    full = [candidate for candidate in candidates if sensor in candidate.sensors and not candidate.is_empty]
     for name in _PREFERRED[sensor]:
-        exact = [one for one in full if _stem(one) == name]
+        exact = [candidate for candidate in full if _stem(candidate) == name]
         if len(exact) == 1:
-            return [one for one in full if one is not exact[0]]
+            return [candidate for candidate in full if candidate is not exact[0]]
     return []
 
 
@@ -161,11 +163,11 @@ def _unnamed(path: str, candidates: Sequence[Candidate], options: ReadOptions) -
     """Return the only topic with numbers; raises ChoiceError without one, or without a columns text."""
     if options.columns is not None:
         raise _without_columns(path, candidates)
-    there = [one for one in candidates if not one.is_empty]
-    for one in there:
-        if one.reason and (options.message_definitions or _looks_like_imu(one)):
-            raise _unreadable(path, one)
-    numbers = [one for one in there if one.table.columns]
+    there = [candidate for candidate in candidates if not candidate.is_empty]
+    for candidate in there:
+        if candidate.reason and (options.message_definitions or _looks_like_imu(candidate)):
+            raise _unreadable(path, candidate)
+    numbers = [candidate for candidate in there if candidate.table.columns]
     if len(numbers) == len(candidates) == 1:
         return _choice(numbers[0], tuple(Sensor), "the only topic")
     listed = listing(candidates) or "  no topics"
@@ -177,10 +179,10 @@ def _unnamed(path: str, candidates: Sequence[Candidate], options: ReadOptions) -
 
 def _without_columns(path: str, candidates: Sequence[Candidate]) -> ChoiceError:
     """Return the error for a columns text that fits no topic."""
-    lines = [
-        f"  {one.table.name} ({one.table.kind}): {one.reason}; found {columns_of(one.table)}"
-        for one in candidates[:_MAX_TOPICS]
-    ]
+    lines = []
+    for candidate in candidates[:_MAX_TOPICS]:
+        table = candidate.table
+        lines.append(f"  {table.name} ({table.kind}): {candidate.reason}; found {columns_of(table)}")
     listed = "\n".join(lines) or "  no topics"
     why = "no topic has the columns in the columns text; found these topics"
     return refused(path, f"{why}\n{listed}", ChoiceError, COLUMNS)
@@ -196,7 +198,7 @@ def columns_of(table: Table) -> str:
 def listing(candidates: Sequence[Candidate]) -> str:
     """Return topics as lines of name, type, messages, rate and duration."""
     rows = []
-    for table in (one.table for one in candidates[:_MAX_TOPICS]):
+    for table in (candidate.table for candidate in candidates[:_MAX_TOPICS]):
         count = "? messages" if table.count is None else f"{table.count} messages"
         rate = "" if table.measured_hz is None else f"{table.measured_hz:.4g} Hz"
         duration = "" if table.duration_s is None else f"{table.duration_s:.4g} s"
@@ -229,11 +231,11 @@ def _named(path: str, candidates: Sequence[Candidate], options: ReadOptions) -> 
         named = f"{len(options.topics)} topics are named; expected one, or one for each sensor"
         raise refused(path, named, ChoiceError, TOPIC)
     found = [_find(path, candidates, name) for name in options.topics]
-    for one in found:
-        if one.reason or not one.table.columns:
-            raise _unreadable(path, one)
-        if one.is_empty:
-            empty = f"topic {one.table.name} has no messages; found\n{listing(candidates)}"
+    for candidate in found:
+        if candidate.reason or not candidate.table.columns:
+            raise _unreadable(path, candidate)
+        if candidate.is_empty:
+            empty = f"topic {candidate.table.name} has no messages; found\n{listing(candidates)}"
             raise refused(path, empty, ChoiceError, TOPIC)
     if len(found) == 1:
         return [whole(found[0], "as given")]
@@ -241,7 +243,8 @@ def _named(path: str, candidates: Sequence[Candidate], options: ReadOptions) -> 
         if Sensor.GYROSCOPE in gyro.alive and Sensor.ACCELEROMETER in accel.alive:
             return _pair(gyro, accel, "as given")
     what = "; ".join(
-        f"{one.table.name}: {' and '.join(sorted(one.alive)) or 'no samples that change'}" for one in found
+        f"{candidate.table.name}: {' and '.join(sorted(candidate.alive)) or 'no samples that change'}"
+        for candidate in found
     )
     text = f"the two topics are not a gyroscope and an accelerometer ({what})"
     raise refused(path, text, ChoiceError, TOPIC)
@@ -249,18 +252,22 @@ def _named(path: str, candidates: Sequence[Candidate], options: ReadOptions) -> 
 
 def _find(path: str, candidates: Sequence[Candidate], name: str) -> Candidate:
     wanted = name.strip("/")
-    same = [one for one in candidates if wanted in {one.table.name.strip("/"), one.table.alias}]
+    same = [
+        candidate
+        for candidate in candidates
+        if wanted in {candidate.table.name.strip("/"), candidate.table.alias}
+    ]
     if not same:
         raise refused(path, f"there is no topic {name}", ChoiceError, _one_of(candidates))
-    return next((one for one in same if one.sensors), same[0])
+    return next((candidate for candidate in same if candidate.sensors), same[0])
 
 
 def _among(path: str, fitting: Sequence[Candidate]) -> list[Choice]:
-    useful = [one for one in fitting if one.alive]
+    useful = [candidate for candidate in fitting if candidate.alive]
     if len(useful) == 1:
         return [whole(useful[0], "the only topic whose samples change")]
-    gyros = [one for one in useful if Sensor.GYROSCOPE in one.alive]
-    accels = [one for one in useful if Sensor.ACCELEROMETER in one.alive]
+    gyros = [candidate for candidate in useful if Sensor.GYROSCOPE in candidate.alive]
+    accels = [candidate for candidate in useful if Sensor.ACCELEROMETER in candidate.alive]
     if len(gyros) == len(accels) == 1 and gyros[0] is not accels[0]:
         return _pair(gyros[0], accels[0], "the only topic of this sensor")
     raise refused(path, f"{len(fitting)} topics carry IMU samples", ChoiceError, _one_of(fitting))

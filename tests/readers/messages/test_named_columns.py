@@ -199,8 +199,8 @@ def test_a_list_of_structures_is_read_only_if_it_is_named(tmp_path: Path) -> Non
     message = refused(path)
     assert message == (
         f"{path}: topic /imu/data: no column has the name of a gyroscope or accelerometer axis; found "
-        "columns: 0 header.stamp = 1.7e+18; name them in a columns text of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names of "
-        "columns, or their numbers from 0)"
+        "columns: 0 header.stamp = 1.7e+18; name them in a columns text of the form t=TIME,g=X+Y+Z,a=X+Y+Z "
+        "(names of columns, or their numbers from 0)"
     )
     units: dict[str, Any] = {"gyro_unit": "rad/s", "accel_unit": "m/s^2"}
     first = read(path, columns="g=imus[0].rate,a=imus[0].force", **units)

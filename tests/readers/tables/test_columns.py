@@ -433,7 +433,8 @@ def test_axes_with_different_units_are_refused(tmp_path: Path) -> None:
     content = lines(header, seconds(truth()), *xyz(truth().gyro))
     assert refused(tmp_path, content) == (
         "the axes of the gyroscope have different units (xRate (rad/s) in rad/s, yRate (deg/s) in deg/s, "
-        f"zRate (deg/s) in deg/s); expected one unit; found columns: {listed(content)}; give the unit of the gyroscope, or correct the header"
+        "zRate (deg/s) in deg/s); expected one unit; "
+        f"found columns: {listed(content)}; give the unit of the gyroscope, or correct the header"
     )
     recording = read(tmp_path / "log.csv", ReadOptions(gyro_unit="rad/s"))
     assert recording.series[0].samples[0] == truth().gyro[0, 0]
@@ -448,8 +449,8 @@ def test_two_sets_of_gyroscope_columns_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ChoiceError) as caught:
         read(path, ReadOptions())
     assert caught.value.sentence == (
-        f"2 sets of gyroscope columns: gyroADC[0], gyroUnfilt[0]; found columns: {listed(content)}; name them "
-        f"in a columns text such as t=0,g=1:4 or t=0,g=4:7 {HOW}"
+        f"2 sets of gyroscope columns: gyroADC[0], gyroUnfilt[0]; found columns: {listed(content)}; name "
+        f"them in a columns text such as t=0,g=1:4 or t=0,g=4:7 {HOW}"
     )
 
 

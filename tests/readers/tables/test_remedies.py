@@ -127,7 +127,7 @@ def test_a_columns_text_of_the_listed_columns_works(name: str, tmp_path: Path) -
     path.write_text(lines(header, *order(t, (gx, gy, gz), (ax, ay, az)), **options), encoding="utf-8")
     message = refused(path)
     first = header.split(",")[2] if name.startswith("names") else f"{truth().gyro[0, 1]:.6g}"
-    assert re.search(rf"\b2 (\S+ )?= [^,]+, ", message)
+    assert re.search(r"\b2 (\S+ )?= [^,]+, ", message)
     assert f" {first}" in message
     assert f"in a columns text {FORM}" in message
     is_truth(read(path, columns=columns, rate_hz=None if "t=" in columns else 100.0, **UNITS))

@@ -25,8 +25,8 @@ from imucal.readers import read
             ChoiceError,
             (
                 "/log.csv: the 4 columns have no header; found columns: "
-                "0 = 0, 1 = 0.1, 2 = 0.2, 3 = 9.8; name them in a columns text of the form t=TIME,g=X+Y+Z,a=X+Y+Z "
-                "(names of columns, or their numbers from 0)"
+                "0 = 0, 1 = 0.1, 2 = 0.2, 3 = 9.8; name them in a columns text of the form "
+                "t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their numbers from 0)"
             ),
         ),
     ],

@@ -168,8 +168,9 @@ def test_a_matrix_without_names_needs_a_columns_text(tmp_path: Path) -> None:
         read(path, ReadOptions())
     assert str(caught.value) == (
         f"{path}: array (400, 7): the 7 columns have no names; found columns: 0 = 1.7e+09, 1 = "
-        "0.00839614, 2 = -0.0226487, 3 = 0.00450328, 4 = 0.113276, 5 = -0.256524, 6 = 9.79787; name them in a columns text of "
-        "the form t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their numbers from 0)"
+        "0.00839614, 2 = -0.0226487, 3 = 0.00450328, 4 = 0.113276, 5 = -0.256524, 6 = 9.79787; "
+        "name them in a columns text of the form t=TIME,g=X+Y+Z,a=X+Y+Z (names of columns, or their numbers "
+        "from 0)"
     )
     check(read(path, ReadOptions(columns="t=0,g=1:4,a=4:7")))
 
