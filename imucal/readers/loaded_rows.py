@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, never_changes
-from imucal.errors import DataError
+from imucal.errors import ChoiceError, DataError
 from imucal.findings import Finding
 from imucal.readers.choose import Choice
 from imucal.readers.clocks import LOG_TIME
 from imucal.readers.files import refused
+from imucal.readers.fixes import COLUMNS
 from imucal.readers.messages.order import sort_by_log_time
 from imucal.readers.repeated_rows import without_first_rows, without_held
 from imucal.readers.sensor_rows import SensorRows
@@ -65,13 +66,25 @@ def rows_of_sensors(
     sensors: list[SensorRows] = []
     for part, data in zip(parts, loaded, strict=True):
         work.findings += data.findings
-        if data.n or part.table.is_topic:
-            sensors += _rows_of(work, log, part, data)
+        if part.request.rows is not None and not data.n:
+            raise _without_rows(log, part)
+        sensors += _rows_of(work, log, part, data)
     if not sensors:
         texts = "; ".join(finding.text for finding in work.findings) or "no data"
         raise refused(log.name, f"no sensor has samples that change: {texts}", DataError)
     filled = [_with_values(work, columns) for columns in sensors]
     return [without_held(work, columns) for columns in without_first_rows(work, filled)]
+
+
+def _without_rows(log: Log, part: Part) -> ChoiceError:
+    """Return the error for a tag that no row of a table has."""
+    table, rows = part.table, part.request.rows
+    index, tag = rows or (-1, "")
+    where = "any column" if index < 0 else f"column {table.columns[index].name or index}"
+    sensors = " and ".join(sensor.triad.sensor for sensor in part.sensors)
+    text = f"no row has {tag!r} in {where}, which selects those of the {sensors}"
+    place = f"{log.name}: {table.place}" if table.is_topic else table.place
+    return refused(place, text, ChoiceError, COLUMNS)
 
 
 def _rows_of(work: Work, log: Log, part: Part, data: Loaded) -> list[SensorRows]:

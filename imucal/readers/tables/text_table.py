@@ -176,7 +176,7 @@ class TextLog(Log):
             blocks = [("\n".join(source.head) + "\n").encode()] if self.head else source.blocks()
             cut = _read_blocks(source, blocks, text.layout, readers)
             findings = _row_findings(source, cut, text.layout, readers, strict=self._options.strict)
-            if not any(reader.good for reader in readers):
+            if not any(reader.good for reader in readers) and all(one.rows is None for one in requests):
                 advice = advice_on("\n".join(source.head).encode(), LOGGERS)
                 problem = f"the table has no rows of its sensors; {advice or 'expected a row per sample'}"
                 raise refused(source.name, problem, DataError)
