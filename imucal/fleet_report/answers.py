@@ -23,6 +23,7 @@ from imucal.fitting.homogeneity import symbol_of
 from imucal.fleet.pooling import pool_bins
 from imucal.fleet.population import Population, population
 from imucal.fleet.store import FleetStore
+from imucal.fleet.tolerance import tolerance_factor
 from imucal.fleet.values import LogValue
 from imucal.frozen import frozen
 from imucal.noise.terms import TERMS
@@ -298,15 +299,12 @@ def _reader(kind: Any) -> Any:  # noqa: ANN401 - of any type
 def tolerance_excess(units: int, spread: float, *, content: float = 0.95, confidence: float = 0.95) -> float:
     """Return the median ratio of the bound of two or more units to the quantile that it bounds.
 
-    For units without error and a `spread` in the logarithm, it is exp(spread (k - z)). Source: Krishnamoorthy
-    & Mathew (2009), Statistical Tolerance Regions, eq. (2.2.3).
+    For units without error and a `spread` in the logarithm, it is exp(spread (k - z)).
     """
-    from scipy.special import nctdtrit, ndtri
+    from scipy.special import ndtri
 
-    z = float(ndtri(content))
-    root = math.sqrt(units)
-    factor = float(nctdtrit(units - 1, z * root, confidence)) / root
-    return math.exp(spread * (factor - z))
+    factor = tolerance_factor(units, units - 1, content, confidence)
+    return math.exp(spread * (factor - float(ndtri(content))))
 
 
 def _prices(found: Population) -> tuple[tuple[int, float], ...]:

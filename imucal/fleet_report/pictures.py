@@ -43,8 +43,8 @@ _NAMED, _ROW, _TALLEST = 60, 0.17, 9.0
 _SMALL: Style = {"fontsize": SMALL_SIZE, "color": INK}
 _LABEL: Style = {"fontsize": LABEL_SIZE, "color": INK}
 _NEAR: Style = {"fontsize": SMALL_SIZE, "textcoords": "offset points"}
-#: Width of a band of 95 %, in standard deviations.
-_BAND_SDS = 2 * 1.96
+#: Half the width of a band of 95 %, in standard deviations.
+_BAND_SDS = 1.96
 #: Factor by which a whisker or bound ends below the lowest value.
 _BELOW = 3.0
 #: Installed fonts; the last one has a box for any other sign.
@@ -241,7 +241,7 @@ def heat_figure(model: SensorModel) -> "Figure":
     values = np.full((len(names), len(terms)), np.nan)
     for j, term in enumerate(terms):
         found, band = term.population, term.population.prediction
-        sd = math.log(band[1] / band[0]) / _BAND_SDS if band and not found.bounded else math.nan
+        sd = math.log(band[1] / found.median.value) / _BAND_SDS if band and not found.bounded else math.nan
         for unit in found.units:
             i = names.index(unit.unit)
             values[i, j] = math.log(unit.value / found.median.value) / sd if unit.value else math.nan

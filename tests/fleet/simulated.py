@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.special import ndtri
 
+from imucal.arrays import FloatArray
 from imucal.fleet import LogValue
 
 Z = float(ndtri(0.975))
@@ -43,3 +44,10 @@ def weak_fleet(
                 )
             )
     return found
+
+
+def two_batches(rng: np.random.Generator, units: int) -> FloatArray:
+    """Return logarithms of units, shape (units,): a fifth is 1.8 times larger than the others."""
+    is_larger = rng.random(units) < 0.2
+    logarithms: FloatArray = 0.08 * rng.standard_normal(units) + np.log(1.8) * is_larger
+    return logarithms

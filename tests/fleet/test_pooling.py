@@ -13,7 +13,6 @@ from imucal.arrays import FloatArray
 from imucal.fitting.noise_fit import Response
 from imucal.fitting.spectral.blocks import bin_blocks, make_blocks, ordinates_of
 from imucal.fitting.spectral.given_model import BinFit, fit_bins
-from imucal.fleet.values import LogValues
 from imucal.recording import AxisSeries, Sensor
 from tests.fleet.records import RATE, bins_from, fit_of, quick_fit, simulated
 from tests.slow_cases import first_by_default
@@ -236,11 +235,11 @@ def test_a_barely_detected_random_walk_is_pooled_without_bias() -> None:
         imucal.log_values(f"u{i}", quick_fit(simulated("N=9e-5 + K=1e-4", 4000, 91, i)))["K"]
         for i in range(60)
     ]
-    squares = LogValues.of(logs).squares
-    one = squares.mean_by(np.zeros(60, dtype=np.int64), truth**2)
-    error = float(one.deviation(truth**2)[0])
+    squares = np.array([log.square for log in logs])
+    weights = np.array([log.square_deviation(truth**2) for log in logs]) ** -2.0
+    error = 1 / np.sqrt(weights.sum())
     assert 1 < truth**2 / (error * np.sqrt(60)) < 2
-    assert abs(one.estimate[0] - truth**2) < 2 * error
+    assert abs(np.average(squares, weights=weights) - truth**2) < 2 * error
     found = imucal.population(logs)
     assert found.median.low <= truth <= found.median.high
     assert not any(unit.odd for unit in found.units)
