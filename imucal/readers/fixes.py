@@ -14,6 +14,12 @@ TOPIC = Fix("", "topic", "NAME")
 COLUMNS = Fix("", "columns", "TEXT")
 
 
+def give_rates(*rates_hz: float) -> tuple[Fix, ...]:
+    """Return the fixes that give one of several possible sampling rates."""
+    first, *others = (f"{rate:.6g}" for rate in rates_hz)
+    return Fix(GIVE_RATE.text, "rate_hz", first), *(Fix("", "rate_hz", rate) for rate in others)
+
+
 def unit(sensor: Sensor, text: str = "") -> Fix:
     """Return the fix that gives the unit of a sensor."""
     return Fix(text, f"{sensor.short}_unit", "UNIT")

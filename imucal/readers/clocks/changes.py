@@ -1,4 +1,4 @@
-"""Find a lasting change of the sampling rate.
+"""Find a lasting change of the sampling rate: the user must choose a part.
 
 A change splits windows over the log into two parts with a stable rate each. If only losses begin, the short
 steps keep their length.
@@ -42,13 +42,6 @@ class Change:
     #: The first part ends before sample `end`; the second begins at `start`.
     end: int
     start: int
-
-    def part(self, n: int, rate_hz: float | None) -> tuple[slice, float]:
-        """Return the part with the rate nearest to `rate_hz` (None: the longer part), and its rate."""
-        parts = tuple(zip((slice(0, self.end), slice(self.start, n)), self.rates_hz, strict=True))
-        if rate_hz is not None:
-            return min(parts, key=lambda part: abs(np.log(part[1] / rate_hz)))
-        return max(parts, key=lambda part: part[0].stop - part[0].start)
 
 
 def rate_change(stamps: IntArray) -> Change | None:

@@ -7,13 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import BoolArray, FloatArray, IntArray, median, never_changes
+from imucal.arrays import BoolArray, FloatArray, IntArray, median
 from imucal.clock import Clock, Segment
 from imucal.errors import ChoiceError, DataError, Fix
 from imucal.findings import Finding
 from imucal.frozen import frozen_alone
 from imucal.readers.clocks.changes import rate_change
-from imucal.readers.clocks.period import Period, estimate_period, evened
+from imucal.readers.clocks.evened import evened
+from imucal.readers.clocks.notes import jitter_notes, jump_notes, rate_notes, stamp_notes
+from imucal.readers.clocks.period import Period
 from imucal.readers.clocks.placing import (
     NO_BREAKS,
     Breaks,
@@ -22,7 +24,9 @@ from imucal.readers.clocks.placing import (
     fit_period,
     step_statistics,
 )
-from imucal.readers.fixes import GIVE_RATE
+from imucal.readers.clocks.readings import estimate_period, two_readings
+from imucal.readers.clocks.wander import wander
+from imucal.readers.fixes import GIVE_RATE, give_rates
 from imucal.recording import gap_findings
 
 LOG_TIME = "log time"
@@ -34,117 +38,21 @@ _MAX_ZEROS = 0.01
 _MAX_SHARED = 0.5
 #: Units of float32 time columns, in ns: s, ms, us, ns.
 _FLOAT_UNITS_NS = (10**9, 10**6, 10**3, 1)
+#: Samples at which the wander of stamps is examined.
+_WANDERING = 4000
+#: Fewest missing samples of a pause between trials.
+_MIN_PAUSE = 3
 #: One day in ns: a longer jump forward means that the clock was set.
 _DAY = 86_400 * 10**9
 #: Fewest samples per clock reset; with fewer the stamps are noise.
 _RESETS = 20
+#: Resolution of stamps, in periods, above which a contradicted rate may be any.
+_COARSE = 0.3
 _MAX_EXAMINED = 100_000
 #: Shortest log for a comparison of clocks.
 _MIN_DURATION_S = 60.0
 #: Smallest reported relative difference of clocks: quartz is better.
 _MIN_DRIFT = 5e-4
-
-
-def stamp_notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> list[Finding]:
-    """Return findings about the stamps, except gaps, jumps and jitter."""
-    notes: list[Finding] = []
-    same, back, tau, doubled = steps.same, steps.back, period.tau_ns, breaks.doubled.size
-    if tau / 50 < period.resolution_ns < 0.999 * tau or (period.resolution_ns >= tau and same):
-        text = (
-            f"The time stamps have a resolution of {period.resolution_ns / 1e6:.4g} ms at a sampling "
-            f"period of {tau / 1e6:.4g} ms; the rate is measured over many samples."
-        )
-        notes.append(Finding("info", "coarse-stamps", text))
-    if period.burst > 1:
-        text = (
-            f"Samples arrive in bursts of about {period.burst}; they are evenly spaced at {1e9 / tau:.6g} Hz."
-        )
-        notes.append(Finding("info", "bursts", text))
-    elif same and not period.loose and (doubled or period.resolution_ns < tau / 50):
-        fate = f"{doubled} surplus samples are dropped" if doubled else "all are kept"
-        text = f"{same} of {n} samples repeat the previous time stamp; {fate}."
-        notes.append(Finding("warning", "duplicate-stamps", text))
-    elif doubled:
-        text = f"{doubled} of {n} samples are surplus at this rate and are dropped."
-        notes.append(Finding("warning", "extra-samples", text))
-    if period.other_ns:
-        text = (
-            f"The time stamps fit two rates: {period.rate_hz:.6g} Hz, which is used, or "
-            f"{1e9 / period.other_ns:.6g} Hz with {_kind(period)}. N is proportional to the square root of "
-            "the rate."
-        )
-        advice = "Give the sampling rate if the other one is right."
-        notes.append(Finding("warning", "two-readings", text, advice))
-    if back:
-        text = (
-            f"{back} of {n} time stamps are earlier than the previous one; the samples keep the order of "
-            "the log."
-        )
-        notes.append(Finding("info", "stamps-out-of-order", text))
-    return notes
-
-
-def _kind(period: Period) -> str:
-    if period.other_ns > period.tau_ns:
-        return f"no missing samples and a clock with ticks of {period.tau_ns / 1e6:.4g} ms"
-    return f"{1 - period.other_ns / period.tau_ns:.2g} of the samples missing"
-
-
-def jitter_notes(period: Period, jitter_ns: float, n: int) -> list[Finding]:
-    """Return a finding if stamps are not the times of sampling."""
-    tau, usual = period.tau_ns, period.usual_ns
-    text = ""
-    if period.coherent:
-        text = (
-            f"The time stamps jitter by {period.jitter:.2g} sampling periods, and samples are missing. The "
-            f"rate, {1e9 / tau:.6g} Hz, follows from the phases of the time stamps; the places of the gaps "
-            "are uncertain."
-        )
-    elif jitter_ns > tau:
-        text = (
-            f"The time stamps differ from an even grid by {jitter_ns / tau:.3g} sampling periods (standard "
-            f"deviation): the samples were stamped late. The rate, {1e9 / tau:.6g} Hz, is the mean, with a "
-            f"relative error of about {2 * jitter_ns / (tau * n):.1g}; N is proportional to the square "
-            "root of the rate."
-        )
-    elif not period.bounded:
-        text = (
-            "The time stamps do not fit an even grid: the sampling was uneven, or most samples are "
-            f"missing. The rate, {1e9 / tau:.6g} Hz, is the mean of the samples in the log; N is "
-            "proportional to the square root of the rate."
-        )
-    elif period.regular and period.burst == 1 and not period.loose and usual > 1.02 * tau:
-        text = (
-            f"Most steps are {usual / 1e6:.4g} ms, as at {1e9 / usual:.6g} Hz, but there are "
-            f"{1e9 / tau:.6g} samples per second: some are between the others, as if interpolated at the "
-            "times of a camera. The mean rate is used; with the rate of the steps, N would change by "
-            f"{np.sqrt(usual / tau) - 1:+.1%}."
-        )
-    advice = "Log the samples as the sensor delivers them, or give the sampling rate."
-    return [Finding("warning", "uneven-stamps", text, advice)] if text else []
-
-
-def jump_notes(stamps: IntArray, jumps: dict[int, int]) -> list[Finding]:
-    """Return a finding if the clock was set."""
-    if not jumps:
-        return []
-    step, at = max(
-        ((int(stamps[at]) - int(stamps[at - 1]), at) for at in jumps), key=lambda jump: abs(jump[0])
-    )
-    times = "once" if len(jumps) == 1 else f"{len(jumps)} times"
-    text = (
-        f"The clock was set {times}, at most by {step / 1e9:+.6g} s at sample {at}; the samples before and "
-        "after are not joined."
-    )
-    return [Finding("warning", "clock-jump", text)]
-
-
-def rate_notes(measured: float, given: float | None) -> list[Finding]:
-    """Return a finding if the given rate differs from the measured one, both in Hz."""
-    if given is None or abs(measured / given - 1) <= 0.01:
-        return []
-    text = f"The given rate, {given:g} Hz, differs from the rate of the time stamps, {measured:.6g} Hz."
-    return [Finding("warning", "rate-given", text)]
 
 
 def repeats(stamps: IntArray, rows: Sequence[NDArray[Any]] | FloatArray) -> BoolArray | None:
@@ -154,17 +62,19 @@ def repeats(stamps: IntArray, rows: Sequence[NDArray[Any]] | FloatArray) -> Bool
     sensor's resolution if they are nearly as frequent between different stamps, or if at most half of the
     samples with equal stamps have them.
     """
-    at = np.flatnonzero((stamps[1:] == stamps[:-1]) & (stamps[1:] != 0)) + 1
-    equal_stamps = at.size
+    same_stamp = np.flatnonzero((stamps[1:] == stamps[:-1]) & (stamps[1:] != 0)) + 1
+    same = same_stamp
     for values in rows:
-        at = at[values[at] == values[at - 1]]
-    if 2 * at.size <= equal_stamps:
+        same = same[values[same] == values[same - 1]]
+    if 2 * same.size <= same_stamp.size:
         return None
-    found = np.zeros(stamps.size, dtype=np.bool_)
-    found[at] = True
     some = [np.diff(column[:_MAX_EXAMINED]) for column in (stamps, *rows)]
     usual = np.all([steps == 0 for steps in some[1:]], axis=0)[some[0] != 0]
-    return None if usual.size and 2 * usual.mean() > at.size / equal_stamps else found
+    if usual.size and 2 * usual.mean() > same.size / same_stamp.size:
+        return None
+    repeated = np.zeros(stamps.size, dtype=np.bool_)
+    repeated[same] = True
+    return repeated
 
 
 def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:
@@ -215,8 +125,8 @@ def clock_from_stamps(
     increasing. `rate_hz` overrides the measured rate. `repeated`, shape (n,), marks samples to drop because
     they repeat the previous stamp *and* values.
 
-    Raises DataError without samples or a measurable rate; ChoiceError if the stamps fit two rates and none is
-    given.
+    Raises DataError without samples or a measurable rate; ChoiceError if the stamps fit two rates or the
+    rate changes, and none is given.
     """
     try:
         return _Stamps(stamps_ns, source, log_ns).read(rate_hz, repeated)
@@ -237,8 +147,11 @@ class _Stamps:
     def read(self, rate_hz: float | None, repeated: BoolArray | None) -> ClockReading:
         if not self.stamps.size:
             raise DataError(f"no samples to take the {self.source} of; expected at least two")
-        if repeated is not None and (twice := int(repeated.sum())):
-            self._drop(repeated, twice)
+        if repeated is not None and repeated.any():
+            twice = np.count_nonzero(repeated)
+            text = f"{twice} of {self.stamps.size} samples repeat the previous time stamp and values"
+            self.notes.append(Finding("warning", "duplicate-stamps", f"{text}; they are dropped."))
+            self._keep(np.flatnonzero(~repeated))
         self._replace_zeros()
         self._keep_one_rate(rate_hz)
         period = estimate_period(self.stamps, rate_hz)
@@ -256,32 +169,40 @@ class _Stamps:
             raise DataError(f"{less} ({self.source}); expected increasing time stamps", fix=GIVE_RATE)
         return ClockReading(clock=clock, order=self.order, findings=tuple(self.notes))
 
-    def _drop(self, repeated: BoolArray, twice: int) -> None:
-        text = f"{twice} of {self.stamps.size} samples repeat the previous time stamp and values"
-        self.notes.append(Finding("warning", "duplicate-stamps", f"{text}; they are dropped."))
-        self.order = np.flatnonzero(~repeated)
-        self.stamps = self.stamps[self.order]
-        self.log_ns = self.log_ns[self.order] if self.log_ns is not None else None
+    def _keep(self, places: IntArray) -> None:
+        """Keep samples and their stamps."""
+        self._keep_samples(places)
+        self.stamps = self.stamps[places]
+        self.log_ns = self.log_ns[places] if self.log_ns is not None else None
+
+    def _keep_samples(self, places: IntArray) -> None:
+        self.order = places if self.order is None else self.order[places]
 
     def _keep_one_rate(self, rate_hz: float | None) -> None:
+        """Keep the part with the given rate; raises ChoiceError if the rate changes and none is given."""
         while (change := rate_change(self.stamps)) is not None:
             n = self.stamps.size
-            part, rate = change.part(n, rate_hz)
             before, after = change.rates_hz
-            other = after if rate == before else before
             seconds = (int(self.stamps[change.end]) - int(self.stamps[0])) / 1e9
+            rates = f"from {before:.5g} Hz to {after:.5g} Hz"
+            if rate_hz is None:
+                raise ChoiceError(
+                    f"the sampling rate changes {rates} at about {seconds:.6g} s; perhaps two sensors share "
+                    "one name; expected one rate",
+                    fixes=give_rates(before, after),
+                )
+            is_first = abs(np.log(before / rate_hz)) < abs(np.log(after / rate_hz))
+            first, last = (0, change.end) if is_first else (change.start, n)
+            rate, other = (before, after) if is_first else (after, before)
             text = (
-                f"The sampling rate changes from {before:.5g} Hz to {after:.5g} Hz at about {seconds:.6g} "
-                f"s. Samples {part.start} to {part.stop - 1} of {n} are used, at {rate:.5g} Hz; the others "
-                "are left out."
+                f"The sampling rate changes {rates} at about {seconds:.6g} s. Samples {first} to {last - 1} "
+                f"of {n} are used, at {rate:.5g} Hz; the others are left out."
             )
             advice = (
                 f"To read the other part, give its rate, {other:.5g} Hz. Perhaps two sensors share one name."
             )
             self.notes.append(Finding("warning", "rate-changes", text, advice))
-            self.order = np.arange(part.start, part.stop) if self.order is None else self.order[part]
-            self.stamps = self.stamps[part]
-            self.log_ns = self.log_ns[part] if self.log_ns is not None else None
+            self._keep(np.arange(first, last))
 
     def _replace_zeros(self) -> None:
         """Use log time if stamps are constant or often zero; interpolate a few zeros."""
@@ -290,7 +211,7 @@ class _Stamps:
         if 0 < zeros < n and not stamps[:zeros].any() and 2 * int(stamps[zeros]) <= int(stamps[-1]):
             # A device's clock may start at zero.
             return
-        constant = n > 1 and never_changes(stamps)
+        constant = n > 1 and bool(np.all(stamps == stamps[0]))
         if (zeros > _MAX_ZEROS * n or constant) and self.log_ns is not None:
             what = "are all the same" if constant and not zeros else f"{zeros} of {n} are zero"
             self._use(self.log_ns, "are all zero" if zeros == n else what)
@@ -313,17 +234,8 @@ class _Stamps:
         if resets.size > max(1000, stamps.size // _RESETS):
             times = f"{resets.size} times in {stamps.size} samples"
             raise DataError(f"the time stamps ({self.source}) go back {times}; expected a clock")
-        breaks = NO_BREAKS
         stamps = evened(stamps, period)
-        # The first estimate has an error of 1 %, so only short gaps have reliable counts.
-        for longest in (0, 0) if period.free else (10,) if steps.even else (10, 1000):
-            breaks = breaks if steps.even else find_breaks(stamps, period, resets)
-            tau, jitter = fit_period(stamps, period.tau_ns, breaks, resets, longest=longest)
-            if period.coherent:
-                # Some places are wrong, so the measured jitter would be too large.
-                jitter = period.jitter * period.tau_ns
-            elif 0.5 < tau / period.tau_ns < 2:
-                period = replace(period, tau_ns=tau)
+        period, breaks, jitter = self._fitted(stamps, period, steps, rate_hz)
         if breaks.doubled.size > _MAX_SHARED * stamps.size:
             return self._clock_of_rate(rate_hz)
         log_ns = self.log_ns if self.source != LOG_TIME else None
@@ -342,10 +254,38 @@ class _Stamps:
         )
         notes += gap_findings([clock])
         if breaks.doubled.size:
-            keep = np.ones(stamps.size, dtype=np.bool_)
-            keep[breaks.doubled] = False
-            self.order = np.flatnonzero(keep) if self.order is None else self.order[keep]
+            self._keep_samples(np.delete(np.arange(stamps.size), breaks.doubled))
         return clock
+
+    @staticmethod
+    def _fitted(
+        stamps: IntArray, period: Period, steps: Steps, rate_hz: float | None
+    ) -> tuple[Period, Breaks, float]:
+        """Return the fitted period, the missing samples, and the jitter in ns.
+
+        Raises ChoiceError if the fit contradicts the reading of the stamps and no rate is given.
+        """
+        breaks = NO_BREAKS
+        is_contradicted = False
+        jitter = 0.0
+        # The first estimate has an error of 1 %, so only short gaps have reliable counts.
+        for longest in (0, 0) if period.free else (10,) if steps.even else (10, 1000):
+            breaks = breaks if steps.even else find_breaks(stamps, period, steps.resets)
+            tau, jitter = fit_period(stamps, period.tau_ns, breaks, steps.resets, longest=longest)
+            correction = abs(tau / period.tau_ns - 1)
+            if period.coherent:
+                # Some places are wrong, so the measured jitter would be too large.
+                jitter = period.jitter * period.tau_ns
+            elif correction > period.error and (period.resolution_ns > _COARSE * tau or steps.same):
+                is_contradicted = True
+            elif correction > period.error and rate_hz is None:
+                slow, fast = max(tau, period.tau_ns), min(tau, period.tau_ns)
+                raise two_readings(replace(period, tau_ns=slow), replace(period, tau_ns=fast))
+            elif 0.5 < tau / period.tau_ns < 2:
+                period = replace(period, tau_ns=tau)
+        # No rate explains contradicted stamps, so the mean is used, with a finding.
+        wander_of_all = np.inf if is_contradicted else _wander_of(stamps, period, breaks)
+        return replace(period, wander=wander_of_all), breaks, jitter
 
     def _clock_of_rate(self, rate_hz: float | None) -> Clock:
         """Return an even clock at the given rate; raises ChoiceError without a rate."""
@@ -388,6 +328,26 @@ def _filled(stamps: IntArray) -> IntArray:
     filled = stamps.copy()
     filled[bad] = stamps[first] + np.round(between).astype(np.int64)
     return filled
+
+
+def _wander_of(stamps: IntArray, period: Period, breaks: Breaks) -> float:
+    """Return the wander of stamps about the placed samples, at some of them."""
+    step = max(stamps.size // _WANDERING, 1)
+    some = np.arange(0, stamps.size, step)
+    skipped = np.concatenate([[0], np.cumsum(breaks.missing)])
+    gaps = np.searchsorted(breaks.at, some, side="right")
+    places = some + skipped[gaps]
+    late = (stamps[some] - stamps[0]) / period.tau_ns - places
+    if period.free and period.burst == 1:
+        # A trial starts at any time.
+        pauses = np.searchsorted(breaks.at[breaks.missing >= _MIN_PAUSE], some, side="right")
+        moves = np.diff(late, prepend=late[0])
+        moves[np.diff(pauses, prepend=pauses[0]) > 0] = 0.0
+        late = np.cumsum(moves)
+    # Long gaps contain no stamps that wander.
+    single = int(breaks.missing[breaks.missing < _MIN_PAUSE].sum())
+    places_per_stamp = (int(some[-1]) + single) / max(some.size - 1, 1)
+    return wander(late, places_per_stamp, period.resolution_ns / period.tau_ns)
 
 
 def _believable(

@@ -159,7 +159,7 @@ def typical_step(values: Numbers) -> float:
     digits = min(15 - np.ceil(np.log10(span)), np.rint(7 - np.log10(median(steps[steps > 0]))))
     scale = 1.0 if values.dtype.kind == "i" else 10.0**digits
     try:
-        period = estimate_period(np.round(since * scale).astype(np.int64))
+        period = estimate_period(np.round(since * scale).astype(np.int64), unit_is_known=False)
     except ChoiceError:
         return abs(float(since[-1])) / (head.size - 1)
     return period.tau_ns / scale if period is not None else 0.0

@@ -295,7 +295,7 @@ def kinds() -> Iterator[tuple[str, Awkward]]:
     yield "lost 0.2, jitter 0.1", lossy(200.0, 0.2, jitter=0.1)
     yield "lost 0.05, jitter 0.02", lossy(400.0, 0.05, jitter=0.02)
     yield "lost 0.6", lossy(200.0, 0.6, refused=True)
-    yield "a second in ten", throttled(200.0, 200, 2000, 40_000, refused=True)
+    yield "a second in ten", throttled(200.0, 200, 2000, 40_000)
     yield "lost in runs", bursty_loss(200.0)
     yield "jitter 0.2", even(200.0, jitter=0.2)
     yield "jitter 0.2 in ms", even(100.0, MS, jitter=0.2)
@@ -327,8 +327,8 @@ def kinds() -> Iterator[tuple[str, Awkward]]:
     yield "all twice", repeated(1)
     yield "some twice", repeated(40)
     yield "stopped for an hour", stopped(200.0)
-    yield "two of three", throttled(200.0, 2, 3)
-    yield "nine of ten", throttled(200.0, 9, 10)
+    yield "two of three", throttled(200.0, 2, 3, refused=True)
+    yield "nine of ten", throttled(200.0, 9, 10, refused=True)
     yield "64 of 72", throttled(100.0, 64, 72)
     yield "half of the time", throttled(100.0, 500, 1000, 20_000)
     yield "12 of 16", throttled(100.0, 12, 16)
@@ -340,7 +340,7 @@ def kinds() -> Iterator[tuple[str, Awkward]]:
     for rate, ticks, lost in ((201.3, 4.0, 0.0), (98.7, 8.0, 0.0), (903.0, 1.0, 0.03), (337.0, 2.0, 0.01)):
         yield f"{rate:g} Hz in {ticks:g} ms, lost {lost:g}", coarse(rate, ticks * MS, lost=lost)
     yield "100 Hz in single precision after 20 h", coarse(100.0, SECOND / 128)
-    yield "an eighth of it", throttled(200.0, 7, 8)
+    yield "an eighth of it", throttled(200.0, 7, 8, refused=True)
 
 
 def fifos(sizes: tuple[int, ...] = SIZES) -> Iterator[tuple[str, Awkward]]:

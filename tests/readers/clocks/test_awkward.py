@@ -85,20 +85,22 @@ def test_batches_of_any_size_give_the_rate(size: int) -> None:
 
 @pytest.mark.parametrize("name", [name for name, case in KINDS.items() if case.refused])
 def test_both_explanations_are_reported_and_each_can_be_read(name: str, tmp_path: Path) -> None:
-    """If most samples would be missing, the user must choose a rate. Each reported rate works."""
+    """If most samples, or every nth one, would be missing, the user must choose. Each reported rate works."""
     case = KINDS[name]
     path = tmp_path / "log.csv"
     path.write_text(lines(f"t_ns,{SI}", case.stamps.tolist(), *values_of(case).tolist()), encoding="utf-8")
     with pytest.raises(ChoiceError) as caught:
         read(path)
     pattern = (
-        r"the time stamps fit two rates: ([\d.]+) Hz with (\d+)% of the samples missing, or ([\d.]+) Hz in "
-        r"batches of about \d+; expected one; give the sampling rate$"
+        r"the time stamps fit two rates: ([\d.]+) Hz with (\d+)% of the samples missing, or ([\d.]+) Hz "
+        r"(?:in batches of about \d+|on a clock with ticks of 5 ms); expected one; give the sampling rate$"
     )
     found = re.search(pattern, str(caught.value))
     assert found is not None
     assert str(caught.value).startswith(f"{path}: ")
     rates = float(found[1]), float(found[3])
+    assert [fix.value for fix in caught.value.fixes] == [found[1], found[3]]
+    assert {fix.argument for fix in caught.value.fixes} == {"rate_hz"}
     assert min(abs(rate / case.rate_hz - 1) for rate in rates) < 1e-3
     most, none = (read(path, rate_hz=rate).series[0].clock for rate in rates)
     assert (most.rate_hz, none.rate_hz) == rates
@@ -114,7 +116,7 @@ def test_the_rate_option_in_a_refusal_works(tmp_path: Path) -> None:
     path.write_text(lines(f"t_ns,{SI}", case.stamps.tolist(), *values.tolist()), encoding="utf-8")
     refused = run("adev", path.name, cwd=tmp_path)
     assert (refused.returncode, refused.stdout) == (3, "")
-    assert "--rate HZ" in refused.stderr
+    assert "Use --rate 100 or --rate " in refused.stderr
     typed = run("adev", path.name, "--rate", "100", cwd=tmp_path)
     assert typed.returncode == 0
     # tau0 is the first averaging time.
@@ -154,31 +156,98 @@ def test_missing_samples_are_counted(name: str) -> None:
     assert clock.missing == pytest.approx(lost, rel=1e-3, abs=5)
 
 
-def test_a_given_rate_chooses_between_trials_and_batches() -> None:
-    """Trials at regular intervals are refused with both rates; each rate reads the log."""
+def test_steps_of_ten_milliseconds_are_no_batches() -> None:
+    """A bus delivers the samples of a buffer faster, so the pauses separate trials. A given rate decides."""
     case = throttled(100.0, 200, 1000, 40_000)
-    with raises(ChoiceError, "100 Hz with 80% of the samples missing", argument="rate_hz"):
-        clock_of(case)
-    assert clock_of(case, 100.0).clock.missing == pytest.approx(31_200, abs=1)
+    assert clock_of(case).clock.rate_hz == pytest.approx(100, rel=1e-6)
+    assert clock_of(case).clock.missing == pytest.approx(31_200, abs=1)
     assert clock_of(case, 20.0).clock.missing == 0
 
 
 @pytest.mark.parametrize(
-    ("case", "taken", "other"),
+    ("case", "rates"),
     [
-        (throttled(200.0, 9, 10), "200 Hz, which is used, or 180 Hz with no missing samples", 180.0),
-        (throttled(100.0, 9, 10), "Hz, which is used, or 100 Hz with 0.1 of the samples missing", 100.0),
-        (coarse(200.0, 4.0 * MS), "250 Hz, which is used, or 200 Hz with no missing samples", 200.0),
-        (throttled(1000.0, 100, 400, 40_000), "250 Hz, which is used, or 1000 Hz with 0.75 of", 1000.0),
+        (throttled(200.0, 9, 10), (200.0, 180.0)),
+        (throttled(100.0, 9, 10), (100.0, 90.0)),
+        (coarse(200.0, 4.0 * MS), (250.0, 200.0)),
     ],
 )
-def test_both_rates_of_ambiguous_stamps_are_reported(case: Awkward, taken: str, other: float) -> None:
-    """If both fit exactly, the finding contains both rates, and the other rate reads the log too."""
+def test_a_cycle_of_losses_or_of_ticks_is_asked(case: Awkward, rates: tuple[float, float]) -> None:
+    """Every nth sample is lost, or the ticks of a clock are shorter than the period. Each rate is read."""
+    with raises(ChoiceError, "the time stamps fit two rates", argument="rate_hz") as caught:
+        clock_of(case)
+    npt.assert_allclose([float(fix.value) for fix in caught.value.fixes], rates, rtol=1e-4)
+    for rate, fix in zip(rates, caught.value.fixes, strict=True):
+        reading = clock_of(case, float(fix.value))
+        assert not {"two-readings", "rate-given"} & {finding.code for finding in reading.findings}
+        assert reading.clock.n == case.samples.size
+        share = reading.clock.missing / reading.clock.grid_size
+        assert share == pytest.approx(1 - min(rates) / rate if rate == max(rates) else 0, abs=1e-3)
+
+
+def test_both_rates_of_short_regular_trials_or_a_buffer_are_reported() -> None:
+    """100 samples in 0.1 s every 0.4 s may be those of a buffer. The other rate reads the log too."""
+    case = throttled(1000.0, 100, 400, 40_000)
     (note,) = (finding for finding in clock_of(case).findings if finding.code == "two-readings")
     assert note.level == "warning"
-    assert taken in note.text
-    codes = {finding.code for finding in clock_of(case, other).findings}
-    assert not {"two-readings", "rate-given"} & codes
+    assert "250 Hz, which is used, or 1000 Hz with 0.75 of" in note.text
+    reading = clock_of(case, 1000.0)
+    assert not {"two-readings", "rate-given"} & {finding.code for finding in reading.findings}
+    assert reading.clock.missing == pytest.approx(0.75 * 40_000, abs=300)
+
+
+def test_long_batches_of_fast_steps_are_asked() -> None:
+    """No usual buffer has 500 samples, but a trial does."""
+    case = throttled(1000.0, 500, 4000, 80_000)
+    with raises(ChoiceError, "1000 Hz with 88% of the samples missing", argument="rate_hz"):
+        clock_of(case)
+    assert clock_of(case, 1000.0).clock.missing == pytest.approx(19 * 3500, abs=20)
+
+
+@pytest.mark.parametrize("jitter", [0.01, 0.02, 0.05])
+@pytest.mark.parametrize("share", [0.01, 0.05, 0.2, 0.3])
+@pytest.mark.parametrize("rate", [500.0, 499.9])
+def test_losses_are_counted_if_a_tick_is_half_a_period(rate: float, share: float, jitter: float) -> None:
+    """Jitter moves a stamp to the millisecond before."""
+    case = lossy(rate, share, jitter=jitter, n=20_000, seed=40_713)
+    case = replace(case, stamps=case.stamps // MS * MS)
+    reading = clock_of(case)
+    assert reading.clock.rate_hz == pytest.approx(rate, rel=1e-3)
+    assert reading.clock.missing == pytest.approx(20_000 - case.samples.size, rel=0.02, abs=5)
+    assert "uneven-stamps" not in {finding.code for finding in reading.findings}
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize("rate", [952.3, 990.2, 1003.9])
+def test_a_tick_slightly_shorter_than_the_period_is_no_period(rate: float, share: float) -> None:
+    """A clock with 1024 ticks a second stamps samples of which some are lost."""
+    case = coarse(rate, SECOND / 1024, n=20_000, lost=share, seed=61_907)
+    reading = clock_of(case)
+    assert reading.clock.rate_hz == pytest.approx(rate, rel=2e-4)
+    assert reading.clock.missing == pytest.approx(
+        np.ptp(case.samples) + 1 - case.samples.size, rel=0.01, abs=5
+    )
+
+
+def test_a_given_rate_counts_losses_that_the_stamps_hide() -> None:
+    """With ticks of two periods, the stamps show a mean rate that is low, with a warning."""
+    case = coarse(415.2, 5.0 * MS, n=20_000, lost=0.1, seed=50_311)
+    reading = clock_of(case)
+    assert reading.clock.rate_hz == pytest.approx(0.9 * 415.2, rel=0.02)
+    assert "uneven-stamps" in {finding.code for finding in reading.findings}
+    given = clock_of(case, 415.2)
+    assert given.clock.rate_hz == 415.2
+    wrong = clock_of(case, 250.0)
+    assert "rate-given" in {finding.code for finding in wrong.findings}
+
+
+def test_hidden_losses_are_reported() -> None:
+    """The fit of stamps with a jitter of 0.3 periods can't find single losses, but the stamps wander."""
+    case = lossy(100.0, 0.05, jitter=0.3, n=20_000, seed=50_329)
+    kept = np.delete(np.arange(case.stamps.size), np.s_[5000:5400])
+    reading = clock_of(replace(case, stamps=case.stamps[kept], samples=case.samples[kept]))
+    is_right = reading.clock.rate_hz == pytest.approx(100, rel=5e-3)
+    assert is_right or "uneven-stamps" in {finding.code for finding in reading.findings}
 
 
 @pytest.mark.parametrize("pauses", [0, 3])
@@ -192,28 +261,30 @@ def test_both_rates_of_ambiguous_stamps_are_reported(case: Awkward, taken: str, 
         (fused(100.0, share=0.8, offset=0.1), 200.0, 100.0, 9600),
     ],
 )
-def test_one_part_of_a_log_with_two_rates_is_read(
+def test_the_rate_of_a_part_is_asked_if_a_log_has_two_rates(
     case: Awkward, before: float, after: float, edge: int, pauses: int
 ) -> None:
-    """Without a given rate it is the longer part, otherwise the part with that rate.
-
-    Pauses do not change the choice.
-    """
+    """The given rate chooses the part. Pauses do not change the choice."""
     n = case.stamps.size
     stops = np.searchsorted(np.linspace(0, n, pauses + 2)[1:-1], np.arange(n)) * 100 * SECOND
     case = replace(case, stamps=case.stamps + stops)
-    longer = before if 2 * edge >= n else after
-    for given in (None, before, after):
+    with raises(ChoiceError, "the sampling rate changes from", argument="rate_hz") as caught:
+        clock_of(case)
+    named = [float(fix.value) for fix in caught.value.fixes]
+    npt.assert_allclose(named, [before, after], rtol=2e-3)
+    for given in named:
         reading = clock_of(case, given)
         (note,) = (finding for finding in reading.findings if finding.code == "rate-changes")
         assert note.level == "warning"
         rates = [float(rate) for rate in re.findall(r"([0-9.]+) Hz", note.text)]
-        npt.assert_allclose(rates, [before, after, given or longer], rtol=2e-3)
-        assert reading.clock.rate_hz == pytest.approx(given or longer, rel=1e-3)
+        npt.assert_allclose(rates, [before, after, given], rtol=2e-3)
+        assert reading.clock.rate_hz == given
+        assert "rate-given" not in {finding.code for finding in reading.findings}
         kept = reading.order
         assert kept is not None
-        assert (kept.max() < edge) == ((given or longer) == before)
-        assert kept.size == pytest.approx(edge if kept.max() < edge else n - edge, abs=0.02 * n)
+        is_first = given == named[0]
+        assert (kept.max() < edge) == is_first
+        assert kept.size == pytest.approx(edge if is_first else n - edge, abs=0.02 * n)
 
 
 def test_the_rate_of_one_sensor_does_not_change() -> None:
@@ -227,12 +298,12 @@ def test_the_rate_of_one_sensor_does_not_change() -> None:
         assert rate_change(clock.stamps) is None, name
 
 
-def test_the_longest_part_of_three_rates_is_read() -> None:
+def test_a_given_rate_reads_one_part_of_three_rates() -> None:
     """Each change is reported."""
     steps = np.repeat([SECOND // 100, SECOND // 50, SECOND // 200], [2000, 5000, 2000])
-    reading = clock_from_stamps(START + np.cumsum(steps), source="stamps")
+    reading = clock_from_stamps(START + np.cumsum(steps), source="stamps", rate_hz=50.0)
     assert [f.code for f in reading.findings if f.level == "warning"] == ["rate-changes"] * 2
-    assert reading.clock.rate_hz == pytest.approx(50.0, rel=1e-3)
+    assert reading.clock.n == pytest.approx(5000, abs=100)
     assert reading.clock.missing == 0
 
 
@@ -242,14 +313,21 @@ def test_the_longest_part_of_three_rates_is_read() -> None:
 def test_a_duty_cycle_with_jitter_keeps_the_rate_of_the_sensor(
     rate: float, keep: int, of: int, jitter: float
 ) -> None:
-    """If a clock with coarse ticks fits equally well, a finding reports both rates."""
+    """If a clock with coarse ticks fits equally well, the user is asked for the rate."""
     case = even(rate, MS, n=40_000, jitter=jitter)
-    reading = clock_from_stamps(case.stamps[case.samples % of < keep], source="stamps")
-    text = " ".join(finding.text for finding in reading.findings if finding.code == "two-readings")
-    named = [float(hz) for hz in re.findall(r"([0-9.]+) Hz", text)] or [reading.clock.rate_hz]
-    assert min(named, key=lambda hz: abs(hz - rate)) == pytest.approx(rate, rel=1e-3)
-    if keep + 1 < of:
-        assert not text
+    stamps = case.stamps[case.samples % of < keep]
+    lost = 40_000 - stamps.size
+    try:
+        reading = clock_from_stamps(stamps, source="stamps")
+    except ChoiceError as error:
+        named = [float(fix.value) for fix in error.fixes]
+        assert min(abs(hz / rate - 1) for hz in named) < 1e-3
+        reading = clock_from_stamps(stamps, source="stamps", rate_hz=rate)
+        assert "rate-given" not in {finding.code for finding in reading.findings}
+    assert reading.clock.rate_hz == pytest.approx(rate, rel=1e-3)
+    assert "two-readings" not in {finding.code for finding in reading.findings}
+    # The ticks of 1000 Hz in ms, with jitter, move samples into the gaps.
+    assert rate == 1000 or reading.clock.missing == pytest.approx(lost, abs=10)
 
 
 def test_buffers_and_stalls_are_not_duty_cycles() -> None:

@@ -5,7 +5,8 @@ import pytest
 
 from imucal.arrays import IntArray
 from imucal.clock import Clock, Segment
-from imucal.readers.clocks.from_stamps import compare_clocks, jump_notes, stamp_notes
+from imucal.readers.clocks import compare_clocks
+from imucal.readers.clocks.notes import jump_notes, stamp_notes
 from imucal.readers.clocks.period import Period
 from imucal.readers.clocks.placing import Breaks, Steps
 from imucal.recording import gap_findings
