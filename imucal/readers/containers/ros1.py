@@ -256,8 +256,10 @@ class BagFile(ChunkedFile):
                         if self._record(position + start).opcode == CHUNK:
                             return position + start
                 place = block.find(_OPCODE_OF_CHUNK, place + 1)
+            if position + len(block) == self.size:
+                break
             # A header may extend over two blocks.
-            position += max(len(block) - _CHUNK_HEADER, 1)
+            position += len(block) - _CHUNK_HEADER
         return None
 
     def _record(self, position: int) -> Record:
