@@ -2,11 +2,12 @@
 
 from abc import abstractmethod
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from imucal.arrays import IntArray
 from imucal.readers.compression import KINDS
@@ -30,6 +31,8 @@ class ChunkedFile(MessageFile):
     """A container of chunks; a chunk with a wrong or missing index is read record by record."""
 
     def __init__(self, path: Path) -> None:
+        #: Channel -> its definition.
+        self._defined: dict[int, Any] = {}
         self._chunks: list[Chunk] = []
         self._counts: Counter[int] = Counter()
         #: First and last log time by channel, in chunks without an index.
@@ -58,10 +61,6 @@ class ChunkedFile(MessageFile):
     def _define_all(self, raw: memoryview) -> None:
         """Add the channels that a chunk defines."""
 
-    @abstractmethod
-    def _known(self) -> Collection[int]:
-        """Return the defined channels."""
-
     def _search_chunks(self) -> None:
         """Search the chunks that have no index, or messages of unknown channels."""
         damaged = []
@@ -79,11 +78,11 @@ class ChunkedFile(MessageFile):
                 self._add_messages(chunk, raw)
         for chunk in damaged:
             # Any channel may have messages in it; loading the chunk reports the loss.
-            chunk.indexes = dict.fromkeys(self._known())
+            chunk.indexes = dict.fromkeys(self._defined)
             self._is_counted = False
 
     def _is_known(self, chunk: Chunk) -> bool:
-        return all(key in self._known() for key in chunk.indexes)
+        return all(key in self._defined for key in chunk.indexes)
 
     def _add_messages(self, chunk: Chunk, raw: memoryview) -> None:
         """Add the channels of a chunk that have no index."""
@@ -119,7 +118,7 @@ class ChunkedFile(MessageFile):
             with suppress(DamagedError):
                 for position in set(ends.get(key, [])):
                     log_ns, _ = self._entries(position, key)
-                    times += [int(log_ns.min()), int(log_ns.max())]
+                    times += log_ns.tolist()
             if times:
                 spans[key] = min(times), max(times)
         return spans

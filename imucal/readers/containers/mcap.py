@@ -6,7 +6,7 @@ https://mcap.dev/spec.
 """
 
 import struct
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from io import BytesIO
 from typing import Any
@@ -141,15 +141,14 @@ class McapFile(ChunkedFile):
 
     def _read_index(self) -> None:
         self._schemas: dict[int, Any] = {}
-        self._records: dict[int, Any] = {}
         try:
             self._read_summary()
         except DamagedError as error:
             self._schemas.clear()
-            self._records.clear()
+            self._defined.clear()
             end = self._scan()
             self._search_chunks()
-            if not self._records:
+            if not self._defined:
                 text = f"{error}, and no channel was found; expected an MCAP file, copy it again"
                 raise refused(self.path, text) from error
             cut = scan_text(self._file, end)
@@ -157,7 +156,7 @@ class McapFile(ChunkedFile):
             self.findings.append(Finding("warning", "truncated" if cut else error.code, text))
         self.compression = self._compressions("none, lz4 or zstd")
         spans = self._spans()
-        self.channels = [self._channel(key, spans.get(key, (None, None))) for key in sorted(self._records)]
+        self.channels = [self._channel(key, spans.get(key, (None, None))) for key in sorted(self._defined)]
 
     def _summary(self) -> bytes:
         size = self.size
@@ -201,7 +200,7 @@ class McapFile(ChunkedFile):
         damaged_if(len({chunk.start for chunk in chunks}) < len(chunks), "the index lists chunks twice")
         # Messages outside chunks are not in the index.
         fewest = max(statistics.chunk_count, bool(statistics.message_count)) if statistics else 0
-        is_complete = self._records and len(chunks) >= fewest
+        is_complete = self._defined and len(chunks) >= fewest
         damaged_if(not is_complete, "the index does not list all chunks", "unindexed")
         self._counts.update(statistics.channel_message_counts if statistics else {})
         if not self._counts:
@@ -209,7 +208,7 @@ class McapFile(ChunkedFile):
                 self._counts[key] += self._entries(position, key)[0].size
         for chunk in chunks:
             if not chunk.indexes:
-                chunk.indexes = dict.fromkeys(self._records)
+                chunk.indexes = dict.fromkeys(self._defined)
                 self._is_counted = bool(statistics)
         self._chunks = chunks
         if statistics:
@@ -223,15 +222,12 @@ class McapFile(ChunkedFile):
             self._schemas.setdefault(schema.id, schema)
         elif opcode == CHANNEL:
             channel = parsed(ChannelRecord, record)
-            self._records.setdefault(channel.id, channel)
+            self._defined.setdefault(channel.id, channel)
 
     def _define_all(self, raw: memoryview) -> None:
         for opcode, start, end in each_record(raw):
             with suppress(DamagedError):
                 self._define(opcode, raw[start:end])
-
-    def _known(self) -> Collection[int]:
-        return self._records.keys()
 
     def _scan(self) -> int:
         """Find the chunks, and the messages outside chunks; return the end of the last complete record."""
@@ -273,7 +269,7 @@ class McapFile(ChunkedFile):
                 self._counts[key] += (end - position - _INDEX.size) // _ENTRY
 
     def _channel(self, key: int, span: tuple[int | None, int | None]) -> Channel:
-        record = self._records[key]
+        record = self._defined[key]
         schema = self._schemas.get(record.schema_id, Schema(id=0, name="", encoding="", data=b""))
         return Channel(
             key=key,

@@ -7,7 +7,7 @@ and builds an object per message. Source: https://wiki.ros.org/Bags/Format/2.0.
 
 import struct
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
@@ -62,7 +62,7 @@ class Record(NamedTuple):
     @property
     def fields(self) -> Mapping[bytes, bytes]:
         """The fields of the header; raises DamagedError."""
-        return _fields(self.head)
+        return fields(self.head)
 
     @property
     def opcode(self) -> int:
@@ -107,7 +107,9 @@ def walk(raw: Bytes, position: int = 0) -> Iterator[tuple[int, Record]]:
             position = entry.end
 
 
-def fields(data: bytes) -> dict[bytes, bytes]:
+# Most index records have the same header as in the previous chunk.
+@lru_cache(maxsize=128)
+def fields(data: bytes) -> Mapping[bytes, bytes]:
     """Return name -> value of consecutive fields; raises DamagedError."""
     values = {}
     end = 0
@@ -118,10 +120,6 @@ def fields(data: bytes) -> dict[bytes, bytes]:
         damaged_if(end > len(data) or not equals, "a record header is damaged")
         values[name] = value
     return values
-
-
-#: Most index records have the same header as in the previous chunk.
-_fields = lru_cache(maxsize=128)(fields)
 
 
 def connection(entry: Record, data: Bytes) -> Channel:
@@ -162,7 +160,6 @@ class BagFile(ChunkedFile):
     format = "rosbag1"
 
     def __init__(self, path: Path) -> None:
-        self._connections: dict[int, Channel] = {}
         #: Connection -> number of its messages at the end of a closed bag, which lists its chunks.
         self._stated_counts: Counter[int] = Counter()
         self._listed_chunks = 0
@@ -187,14 +184,14 @@ class BagFile(ChunkedFile):
         most = self.size // _ENTRY
         for key, count in self._stated_counts.items():
             self._counts[key] = max(self._counts[key], min(count, most))
-        if not self._connections:
+        if not self._defined:
             advice = "expected a ROS 1 bag, copy it again"
             raise refused(self.path, f"the bag is cut off or damaged: no connection was found; {advice}")
         self._add_findings(end)
         self.compression = self._compressions("none, lz4 or bz2")
         spans = self._spans()
         self.channels = []
-        for key, channel in sorted(self._connections.items()):
+        for key, channel in sorted(self._defined.items()):
             first, last = spans.get(key, (None, None))
             self.channels.append(replace(channel, count=self._count(key), first_ns=first, last_ns=last))
         self.start_ns = min((first for first, _ in spans.values()), default=None)
@@ -295,7 +292,7 @@ class BagFile(ChunkedFile):
             return chunk
         if opcode == CONNECTION:
             channel = connection(entry, self._data(entry))
-            self._connections.setdefault(channel.key, channel)
+            self._defined.setdefault(channel.key, channel)
         elif opcode == CHUNK_INFO:
             data = self._data(entry)
             damaged_if(len(data) % PAIR.size, "a chunk's entry in the index is damaged")
@@ -321,7 +318,7 @@ class BagFile(ChunkedFile):
         cut = scan_text(self._file, end)
         is_complete = (
             min(len(self._chunks), self._listed_chunks) >= self._stated_chunks
-            and len(self._connections) >= self._stated_connections
+            and len(self._defined) >= self._stated_connections
         )
         code = "damaged"
         problems = []
@@ -342,15 +339,12 @@ class BagFile(ChunkedFile):
             problems.append("All complete chunks were read.")
             self.findings.append(Finding("warning", code, " ".join(problems)))
 
-    def _known(self) -> Collection[int]:
-        return self._connections.keys()
-
     def _define_all(self, raw: memoryview) -> None:
         for opcode, entry in walk(raw):
             if opcode == CONNECTION:
                 with suppress(DamagedError):
                     channel = connection(entry, raw[entry.start : entry.end])
-                    self._connections.setdefault(channel.key, channel)
+                    self._defined.setdefault(channel.key, channel)
 
     def _content(self, chunk: Chunk) -> memoryview:
         return unpack(memoryview(self._file.read(chunk.start, chunk.end - chunk.start)))
