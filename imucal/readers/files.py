@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TypeVar
 
 from imucal.errors import Fix, ImucalError, ReadError
-from imucal.findings import Finding
 
 #: Name of standard input in messages.
 STANDARD_INPUT = "standard input"
@@ -93,14 +92,6 @@ class LogFile:
 
     def close(self) -> None:
         self._file.close()
-
-    def scan_finding(self, reason: DamagedError, end: int) -> Finding:
-        """Return the finding for a file scanned up to `end` because its index is damaged."""
-        text = f"The index can't be used ({reason}); all records were scanned instead."
-        if end < self.size:
-            text += f" The last {self.size - end} of {self.size} bytes are cut off or damaged."
-        code = "truncated" if end < self.size else reason.code
-        return Finding("warning", code, text)
 
     def read(self, position: int, size: int) -> bytes:
         """Return bytes from a position; raises DamagedError if the file ends earlier."""

@@ -41,7 +41,9 @@ _MAX_STAMP_US = 1 << 52
 #: Bytes of an unfinished page at the end, which is no damage.
 _MAX_PAGE_BYTES = 528
 
-_GYRO, _ACCEL = (tuple(f"{name}[{i}]" for i in range(3)) for name in ("gyro_rad", "accelerometer_m_s2"))
+#: Elements of the arrays in PX4's `sensor_combined`.
+_GYRO = tuple(f"gyro_rad[{i}]" for i in range(3))
+_ACCEL = tuple(f"accelerometer_m_s2[{i}]" for i in range(3))
 _OF_BOARD = tuple(f"{sensor}{axis}" for sensor in ("Gyr", "Acc") for axis in "XYZ")
 PX4 = {
     **dict.fromkeys(("sensor_combined", "vehicle_imu"), _GYRO + _ACCEL),

@@ -2,7 +2,6 @@
 
 import sqlite3
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -156,13 +155,8 @@ def test_fewer_messages_than_the_log_counts_are_damage(
     """The counts are those of the statistics of an MCAP file."""
     path = write_mcap(tmp_path / "log.mcap", imu_messages(samples(20)))
     assert "damaged" not in {finding.code for finding in read(path).findings}
-    channel = McapFile._channel
-
-    def one_more(file: McapFile, key: int) -> Channel:
-        found = channel(file, key)
-        return replace(found, count=(found.count or 0) + 1)
-
-    monkeypatch.setattr(McapFile, "_channel", one_more)
+    count = McapFile._count
+    monkeypatch.setattr(McapFile, "_count", lambda file, key: (count(file, key) or 0) + 1)
     finding = next(finding for finding in read(path).findings if finding.code == "damaged")
     assert finding.level == "warning"
     assert finding.text == f"The log counts 21 messages of topic {TOPIC}, and 1 of them were not found."

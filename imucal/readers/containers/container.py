@@ -52,6 +52,12 @@ class Batch:
             yield view[start : start + size]
 
 
+def no_messages() -> Batch:
+    """Return a batch without messages."""
+    nothing = np.zeros(0, np.int64)
+    return Batch(b"", nothing, nothing, nothing)
+
+
 def gather(buffer: Bytes, at: IntArray, width: int) -> NDArray[np.void]:
     """Copy `width` bytes from each position in `at`, shape (n,), into an array of n items.
 
@@ -131,12 +137,12 @@ OpenFiles: TypeAlias = Callable[[Path, Progress | None], tuple[list[Container], 
 
 
 class MessageFile(Container):
-    """A container read from one file, by default at `path`."""
+    """A container read from the file at `path`."""
 
-    def __init__(self, path: Path, file: LogFile | None = None) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
         self.findings = []
-        self._file = file or LogFile(path)
+        self._file = LogFile(path)
         self.size = self._file.size
         try:
             self._read_index()

@@ -6,11 +6,8 @@ https://mcap.dev/spec.
 """
 
 import struct
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from functools import partial
 from io import BytesIO
 from typing import Any
 
@@ -20,23 +17,39 @@ from mcap.records import Channel as ChannelRecord
 from mcap.records import ChunkIndex, Footer, Schema, Statistics
 
 from imucal.arrays import IntArray
-from imucal.readers.compression import KINDS, check_crc, crc32, decompress
-from imucal.readers.containers.container import Batch, Bytes, Channel, Loss, MessageFile, Task, cells, gather
+from imucal.findings import Finding
+from imucal.readers.compression import check_crc, crc32, decompress
+from imucal.readers.containers.chunked import Chunk, ChunkedFile, scan_text
+from imucal.readers.containers.container import Batch, Bytes, Channel, cells, gather
 from imucal.readers.files import DamagedError, damaged_if, refused
 
 MAGIC = b"\x89MCAP0\r\n"
-FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = 2, 3, 4, 5, 6, 7, 8
-STATISTICS, DATA_END = 0x0B, 0x0F
+#: Opcodes of records, in the order of the specification.
+FOOTER = 0x02
+SCHEMA = 0x03
+CHANNEL = 0x04
+MESSAGE = 0x05
+CHUNK = 0x06
+MESSAGE_INDEX = 0x07
+CHUNK_INDEX = 0x08
+STATISTICS = 0x0B
+DATA_END = 0x0F
 
+#: Opcode and length of a record.
 HEAD = struct.Struct("<BQ")
-#: Channel and log time of a Message record; the payload starts after `_PAYLOAD` bytes.
-_MESSAGE = struct.Struct("<9xH4xq")
+#: Channel of a Message record.
+_MESSAGE_CHANNEL = struct.Struct("<9xH")
+#: Bytes of a Message record before its payload.
 _PAYLOAD = 31
 #: MessageIndex record: opcode, length, channel, bytes of entries.
 _INDEX = struct.Struct("<BQHI")
-#: Content size, CRC, length of the compression's name, which follows.
+#: Bytes of a message in a MessageIndex record: log time and position.
+_ENTRY = 16
+#: Chunk record: content size, CRC, length of the compression's name, which follows.
 _CHUNK = struct.Struct("<9x16xQII")
+#: Size of a chunk's compressed data.
 _U64 = struct.Struct("<Q")
+#: Footer record and magic at the end of a file.
 _TAIL = 9 + 20 + 8
 #: A larger summary is damage (ids have 16 bits), in bytes.
 _MAX_SUMMARY = 1 << 31
@@ -46,17 +59,6 @@ _PART = 1 << 22
 _MAX_DEFINITION = 1 << 24
 #: Bytes read of each record in a scan; the names of compressions fit.
 _START = 128
-
-
-@dataclass(slots=True)
-class Chunk:
-    """A chunk's place in the file; for messages outside chunks, `compression` is None."""
-
-    start: int
-    end: int
-    compression: str | None
-    #: Channel -> position of its message index.
-    indexes: dict[int, int] = field(default_factory=dict)
 
 
 class _Exact(BytesIO):
@@ -78,25 +80,27 @@ def parsed(kind: Any, record: Bytes) -> Any:  # noqa: ANN401 - the classes have 
 
 def each_record(data: Bytes) -> Iterator[tuple[int, int, int]]:
     """Yield opcode, start and end of each record, up to zeros or the first incomplete one."""
-    at, size, head = 0, len(data), HEAD.unpack_from
-    while at + HEAD.size <= size:
-        opcode, length = head(data, at)
-        end = at + HEAD.size + length
+    start = 0
+    size = len(data)
+    head = HEAD.unpack_from
+    while start + HEAD.size <= size:
+        opcode, length = head(data, start)
+        end = start + HEAD.size + length
         if end > size or not opcode:
             return
-        yield opcode, at, end
-        at = end
+        yield opcode, start, end
+        start = end
 
 
 def unpack(record: memoryview) -> memoryview:
     """Return the content of a Chunk record; raises DamagedError."""
     try:
         size, crc, length = _CHUNK.unpack_from(record)
-        at = _CHUNK.size + length
-        (stored,) = _U64.unpack_from(record, at)
+        name_end = _CHUNK.size + length
+        (stored,) = _U64.unpack_from(record, name_end)
     except struct.error as error:
         raise DamagedError("a chunk's head is damaged") from error
-    data = record[at + _U64.size :]
+    data = record[name_end + _U64.size :]
     damaged_if(HEAD.unpack_from(record) != (CHUNK, len(record) - HEAD.size), "a chunk's head is damaged")
     damaged_if(len(data) < stored, "a chunk's head is damaged")
     raw = decompress(_compression(record), data[:stored], size)
@@ -112,9 +116,10 @@ def _compression(record: Bytes) -> str:
 def walk_records(raw: Bytes) -> dict[int, list[int]]:
     """Return channel -> positions of its complete Message records."""
     positions: dict[int, list[int]] = {}
-    for opcode, at, end in each_record(raw):
-        if opcode == MESSAGE and end - at >= _PAYLOAD:
-            positions.setdefault(_MESSAGE.unpack_from(raw, at)[0], []).append(at)
+    for opcode, start, end in each_record(raw):
+        if opcode == MESSAGE and end - start >= _PAYLOAD:
+            (key,) = _MESSAGE_CHANNEL.unpack_from(raw, start)
+            positions.setdefault(key, []).append(start)
     return positions
 
 
@@ -123,154 +128,149 @@ def batch_of(raw: Bytes, positions: Sequence[int] | IntArray, key: int) -> Batch
     starts = np.asarray(positions, np.int64)
     heads = gather(raw, starts, _PAYLOAD)
     sizes = cells(heads, 1, "<i8") - (_PAYLOAD - HEAD.size)
-    right = (cells(heads, 0, "u1") == MESSAGE) & (cells(heads, 9, "<u2") == key)
-    right &= (sizes >= 0) & (sizes <= len(raw) - _PAYLOAD - starts)
-    damaged_if(not right.all(), "a message index points to wrong records")
+    is_message = (cells(heads, 0, "u1") == MESSAGE) & (cells(heads, 9, "<u2") == key)
+    is_complete = (sizes >= 0) & (sizes <= len(raw) - _PAYLOAD - starts)
+    damaged_if(not (is_message & is_complete).all(), "a message index points to wrong records")
     return Batch(raw, starts + _PAYLOAD, sizes, cells(heads, 15, "<i8"))
 
 
-class McapFile(MessageFile):
+class McapFile(ChunkedFile):
     """A container of the messages of an MCAP file."""
 
     format = "mcap"
 
     def _read_index(self) -> None:
-        self._clear()
+        self._schemas: dict[int, Any] = {}
         try:
             self._read_summary()
         except DamagedError as error:
-            self._clear()
+            self._schemas.clear()
+            self._defined.clear()
             end = self._scan()
-            if not self._records:
+            self._search_chunks()
+            if not self._defined:
                 text = f"{error}, and no channel was found; expected an MCAP file, copy it again"
                 raise refused(self.path, text) from error
-            self.findings.append(self._file.scan_finding(error, end))
-        found = {chunk.compression or "none" for chunk in self._chunks}
-        if not found & set(KINDS) and found:
-            raise refused(self.path, f"chunks are compressed by {min(found)!r}; expected none, lz4 or zstd")
-        self.compression = ", ".join(sorted(found & set(KINDS))) or "none"
-        self.channels = [self._channel(key) for key in sorted(self._records)]
-
-    def _clear(self) -> None:
-        self._schemas: dict[int, Any] = {}
-        self._records: dict[int, Any] = {}
-        self._chunks: list[Chunk] = []
-        self._counts: Counter[int] = Counter()
-        #: First and last log time by channel, for messages outside chunks.
-        self._times: dict[int, list[int]] = {}
+            cut = scan_text(self._file, end)
+            text = f"The index can't be used ({error}); all records were scanned instead.{cut}"
+            self.findings.append(Finding("warning", "truncated" if cut else error.code, text))
+        self.compression = self._compressions("none, lz4 or zstd")
+        spans = self._spans()
+        self.channels = [self._channel(key, spans.get(key, (None, None))) for key in sorted(self._defined)]
 
     def _summary(self) -> bytes:
         size = self.size
-        wrong = size < len(MAGIC) + _TAIL or self._file.read(0, len(MAGIC)) != MAGIC
-        damaged_if(wrong, "the file does not start and end as an MCAP file")
+        is_mcap = size >= len(MAGIC) + _TAIL and self._file.read(0, len(MAGIC)) == MAGIC
+        damaged_if(not is_mcap, "the file does not start and end as an MCAP file")
         tail = self._file.read(size - _TAIL, _TAIL)
         damaged_if(tail[-8:] != MAGIC, "the end of the file is missing", "truncated")
         damaged_if(HEAD.unpack_from(tail) != (FOOTER, 20), "the footer is damaged")
         footer = parsed(Footer, tail)
-        start, crc = footer.summary_start, footer.summary_crc
+        start = footer.summary_start
         damaged_if(not start, "the file has no index", "unindexed")
-        wrong = not len(MAGIC) <= start <= size - _TAIL or size - start > _MAX_SUMMARY
-        damaged_if(wrong, "the footer points beyond the file")
+        is_inside = len(MAGIC) <= start <= size - _TAIL and size - start <= _MAX_SUMMARY
+        damaged_if(not is_inside, "the footer points beyond the file")
         summary = self._file.read(start, size - _TAIL - start)
-        wrong = crc and crc32(tail[:25], crc32(summary)) != crc
-        damaged_if(wrong, "the index's checksum does not match", "crc")
+        crc = footer.summary_crc
+        is_wrong = crc and crc32(tail[:25], crc32(summary)) != crc
+        damaged_if(is_wrong, "the index's checksum does not match", "crc")
         return summary
 
     def _read_summary(self) -> None:
-        summary, statistics, read = self._summary(), None, 0
-        for opcode, at, end in each_record(summary):
-            record, read = summary[at:end], end
+        summary = self._summary()
+        chunks: list[Chunk] = []
+        indexes: list[tuple[int, int]] = []
+        statistics = None
+        read = 0
+        for opcode, start, end in each_record(summary):
+            record = summary[start:end]
+            read = end
             self._define(opcode, record)
             if opcode == CHUNK_INDEX:
-                one = parsed(ChunkIndex, record)
-                first, last = one.chunk_start_offset, one.chunk_start_offset + one.chunk_length
-                self._chunks.append(Chunk(first, last, one.compression, one.message_index_offsets))
+                index = parsed(ChunkIndex, record)
+                first = index.chunk_start_offset
+                last = first + index.chunk_length
+                chunks.append(Chunk(first, last, index.compression, index.message_index_offsets))
+                indexes += index.message_index_offsets.items()
             elif opcode == STATISTICS:
                 statistics = parsed(Statistics, record)
         damaged_if(read < len(summary), "the index is cut off")
-        chunks = self._chunks
-        wrong = any(chunk.start < len(MAGIC) or chunk.end > self.size for chunk in chunks)
-        damaged_if(wrong, "the index points beyond the file")
+        is_beyond = any(chunk.start < len(MAGIC) or chunk.end > self.size for chunk in chunks)
+        damaged_if(is_beyond, "the index points beyond the file")
         damaged_if(len({chunk.start for chunk in chunks}) < len(chunks), "the index lists chunks twice")
-        listed = not statistics or len(chunks) >= max(statistics.chunk_count, bool(statistics.message_count))
-        damaged_if(not (listed and self._records), "the index does not list all chunks", "unindexed")
-        if statistics:
-            self.start_ns, self.end_ns = statistics.message_start_time, statistics.message_end_time
-            self._counts.update(statistics.channel_message_counts)
+        # Messages outside chunks are not in the index.
+        fewest = max(statistics.chunk_count, bool(statistics.message_count)) if statistics else 0
+        is_complete = self._defined and len(chunks) >= fewest
+        damaged_if(not is_complete, "the index does not list all chunks", "unindexed")
+        self._counts.update(statistics.channel_message_counts if statistics else {})
         if not self._counts:
-            for key, at in [pair for chunk in chunks for pair in chunk.indexes.items()]:
-                self._counts[key] += len(self._entries(at, key))
+            for key, position in indexes:
+                self._counts[key] += self._entries(position, key)[0].size
+        for chunk in chunks:
+            if not chunk.indexes:
+                chunk.indexes = dict.fromkeys(self._defined)
+                self._is_counted = bool(statistics)
+        self._chunks = chunks
+        if statistics:
+            self.start_ns = statistics.message_start_time
+            self.end_ns = statistics.message_end_time
 
     def _define(self, opcode: int, record: Bytes) -> None:
-        if opcode in {SCHEMA, CHANNEL}:
-            kind, known = (Schema, self._schemas) if opcode == SCHEMA else (ChannelRecord, self._records)
-            found = parsed(kind, record)
-            known.setdefault(found.id, found)
+        """Add a schema or channel; the first one with a number is used. Raises DamagedError."""
+        if opcode == SCHEMA:
+            schema = parsed(Schema, record)
+            self._schemas.setdefault(schema.id, schema)
+        elif opcode == CHANNEL:
+            channel = parsed(ChannelRecord, record)
+            self._defined.setdefault(channel.id, channel)
+
+    def _define_all(self, raw: memoryview) -> None:
+        for opcode, start, end in each_record(raw):
+            with suppress(DamagedError):
+                self._define(opcode, raw[start:end])
 
     def _scan(self) -> int:
-        at, size, ended = len(MAGIC), self.size, False
-        while at + HEAD.size <= size:
-            start = self._file.read(at, min(_START, size - at))
+        """Find the chunks, and the messages outside chunks; return the end of the last complete record."""
+        position = len(MAGIC)
+        size = self.size
+        is_data = True
+        while position + HEAD.size <= size:
+            start = self._file.read(position, min(_START, size - position))
             opcode, length = HEAD.unpack_from(start)
-            end = at + HEAD.size + length
+            end = position + HEAD.size + length
             # Records after the data belong to the summary, even if its checksum is wrong.
-            ended |= opcode in {DATA_END, FOOTER}
+            if opcode in {DATA_END, FOOTER}:
+                is_data = False
             if not opcode or opcode == FOOTER or end > size:
                 break
             if opcode in {SCHEMA, CHANNEL} and length <= _MAX_DEFINITION:
                 with suppress(DamagedError):
-                    self._define(opcode, self._file.read(at, end - at))
+                    self._define(opcode, self._file.read(position, end - position))
             else:
-                self._visit(opcode, at, end, start)
-            at = end
-        for chunk in self._chunks:
-            if chunk.compression is not None:
-                self._search(chunk)
-        return size if ended else at
+                self._add_record(opcode, position, end, start)
+            position = end
+        return position if is_data else size
 
-    def _visit(self, opcode: int, at: int, end: int, start: bytes) -> None:
+    def _add_record(self, opcode: int, position: int, end: int, start: bytes) -> None:
         last = self._chunks[-1] if self._chunks else None
         if opcode == CHUNK:
-            self._chunks.append(Chunk(at, end, _compression(start)))
-        elif opcode == MESSAGE and end - at >= _PAYLOAD:
-            key, time = _MESSAGE.unpack_from(start)
-            self._counts[key] += 1
-            self._times.setdefault(key, [time, time])[1] = time
+            self._chunks.append(Chunk(position, end, _compression(start)))
+        elif opcode == MESSAGE and end - position >= _PAYLOAD:
             if last is None or last.compression is not None or end - last.start > _PART:
-                last = Chunk(at, end, None)
-                self._chunks.append(last)
-            last.end = end
-        elif opcode == MESSAGE_INDEX and end - at > _INDEX.size and last and last.compression is not None:
+                self._chunks.append(Chunk(position, end, None))
+            else:
+                last.end = end
+        elif opcode == MESSAGE_INDEX and end - position > _INDEX.size:
+            if last is None or last.compression is None:
+                return
             key = _INDEX.unpack_from(start)[2]
             # Indexes after a damaged chunk must not replace those of the previous chunk.
-            if last.indexes.setdefault(key, at) == at:
-                self._counts[key] += (end - at - _INDEX.size) // 16
+            if last.indexes.setdefault(key, position) == position:
+                self._counts[key] += (end - position - _INDEX.size) // _ENTRY
 
-    def _search(self, chunk: Chunk) -> None:
-        """Read definitions from a chunk without index or with an unknown channel; count its messages."""
-        if chunk.indexes and self._records.keys() >= chunk.indexes.keys():
-            return
-        try:
-            raw = self._content(chunk)
-        except DamagedError:
-            if not chunk.indexes:
-                # So that loading the chunk reports the loss.
-                self._counts.update(self._records.keys())
-            return
-        for opcode, at, end in each_record(raw):
-            with suppress(DamagedError):
-                self._define(opcode, raw[at:end])
-        if not chunk.indexes:
-            self._counts.update({key: len(found) for key, found in walk_records(raw).items()})
-
-    def _channel(self, key: int) -> Channel:
-        record = self._records[key]
+    def _channel(self, key: int, span: tuple[int | None, int | None]) -> Channel:
+        record = self._defined[key]
         schema = self._schemas.get(record.schema_id, Schema(id=0, name="", encoding="", data=b""))
-        chunks = [chunk.indexes[key] for chunk in self._chunks if key in chunk.indexes]
-        times = self._times.get(key, [])
-        with suppress(DamagedError):
-            for at in {*chunks[:1], *chunks[-1:]}:
-                times += self._entries(at, key)[:, 0].tolist()
         return Channel(
             key=key,
             topic=record.topic,
@@ -279,42 +279,29 @@ class McapFile(MessageFile):
             definition=schema.data.decode("utf-8", "replace"),
             definition_kind=schema.encoding,
             schema=schema.data,
-            count=self._counts[key],
-            first_ns=min(times, default=None),
-            last_ns=max(times, default=None),
+            count=self._count(key),
+            first_ns=span[0],
+            last_ns=span[1],
         )
-
-    def tasks(self, keys: frozenset[int]) -> Iterator[Task]:
-        for chunk in self._chunks:
-            if found := keys & chunk.indexes.keys() if chunk.indexes else keys:
-                yield Task(chunk.end - chunk.start, found, partial(self._load, chunk, found))
-
-    def _load(self, chunk: Chunk, keys: frozenset[int]) -> Iterator[tuple[int, Batch]]:
-        """Yield the messages of each channel in a chunk; walk the chunk if the message index is wrong."""
-        raw = self._content(chunk)
-        for key in keys:
-            loss = None
-            if key in chunk.indexes:
-                try:
-                    times, places = self._entries(chunk.indexes[key], key).T
-                    batch = batch_of(raw, places, key)
-                    damaged_if((batch.log_ns != times).any(), "a message index points to wrong records")
-                    yield key, batch
-                    continue
-                except DamagedError as error:
-                    loss = Loss("index", f"{error}; all records of its chunk were read instead")
-            yield key, replace(batch_of(raw, walk_records(raw).get(key, []), key), loss=loss)
 
     def _content(self, chunk: Chunk) -> memoryview:
         record = memoryview(self._file.read(chunk.start, chunk.end - chunk.start))
         return record if chunk.compression is None else unpack(record)
 
-    def _entries(self, at: int, key: int) -> IntArray:
-        """Return times and offsets of a channel's messages, shape (n, 2); raises DamagedError."""
-        opcode, length, channel, size = _INDEX.unpack(self._file.read(at, _INDEX.size))
-        wrong = opcode != MESSAGE_INDEX or channel != key or size + 6 != length or size % 16
-        damaged_if(wrong, "a message index is damaged", "index")
-        return np.frombuffer(self._file.read(at + _INDEX.size, size), "<i8").reshape(-1, 2)
+    def _entries(self, position: int, key: int) -> tuple[IntArray, IntArray]:
+        opcode, length, channel, size = _INDEX.unpack(self._file.read(position, _INDEX.size))
+        is_wrong = opcode != MESSAGE_INDEX or channel != key or size + 6 != length or size % _ENTRY
+        damaged_if(is_wrong, "a message index is damaged", "index")
+        entries = np.frombuffer(self._file.read(position + _INDEX.size, size), "<i8").reshape(-1, 2)
+        return entries[:, 0], entries[:, 1]
+
+    def _listed(self, raw: memoryview, key: int, log_ns: IntArray, positions: IntArray) -> Batch:
+        batch = batch_of(raw, positions, key)
+        damaged_if((batch.log_ns != log_ns).any(), "a message index points to wrong records")
+        return batch
+
+    def _walk(self, raw: memoryview) -> dict[int, Batch]:
+        return {key: batch_of(raw, positions, key) for key, positions in walk_records(raw).items()}
 
 
 open_files = McapFile.open_files

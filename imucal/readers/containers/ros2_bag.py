@@ -29,15 +29,10 @@ def open_files(path: Path, progress: Progress | None = None) -> tuple[list[Conta
     """Open the files of a bag and return its format; raises ReadError if it can't be read."""
     folder = open_folder(path) if path.is_dir() else Folder(files=(path,))
     counts = folder.metadata.topic_counts if len(folder.files) == 1 and not folder.missing else None
-    return open_parts(folder, lambda file: _open(file, folder, counts, progress))
-
-
-def open_parts(folder: Folder, opened: Callable[[Path], Container]) -> tuple[list[Container], str]:
-    """Open each file of a bag with `opened`; also return the format."""
     containers: list[Container] = []
     try:
         for file in folder.files:
-            containers.append(opened(file))  # noqa: PERF401 - closed if one fails
+            containers.append(_open(file, folder, counts, progress))  # noqa: PERF401 - closed if one fails
     except BaseException:
         for container in containers:
             container.close()
@@ -95,14 +90,10 @@ def _open(
         base = SqliteFile(path, counts)
         return _ZstdMessages(base) if folder.per_message or base.sample() == _ZSTD else base
     if head.startswith(b"\x89MCAP") or path.name.endswith(".mcap"):
-        return mcap_part(folder, McapFile(path))
+        log = McapFile(path)
+        return _ZstdMessages(log) if folder.per_message else log
     found = f"neither SQLite nor MCAP (first bytes {head[:8].hex(' ')})"
     raise refused(path, f"{found}; expected a file of a ROS 2 bag")
-
-
-def mcap_part(folder: Folder, log: McapFile) -> Container:
-    """Return an MCAP file of a bag; its messages may be compressed separately."""
-    return _ZstdMessages(log) if folder.per_message else log
 
 
 class _Wrapped(Container):

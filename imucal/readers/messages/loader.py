@@ -32,14 +32,17 @@ _LARGE = 50_000
 #: Chunks searched for a channel's first message.
 _LOOKS = 8
 _MAX_LOSSES = 1000
-#: After more damaged messages in a row, the others are skipped.
-_MAX_TRIED = 64
 #: Least bytes of a message in a file: an index entry.
 MIN_MESSAGE_BYTES = 12
 
 
 class Decoder(Protocol):
     """Decodes the messages of one channel."""
+
+    #: A batch with a damaged message is decoded again in groups of this size: a batch of a database contains
+    #: 10 000 messages.
+    @property
+    def group(self) -> int: ...
 
     def decode(self, batch: Batch) -> Block:
         """Return the samples; raises DamagedError if a message can't be decoded."""
@@ -177,13 +180,16 @@ def _decoded(
     try:
         for key, batch in task.load():
             missing.discard(key)
-            lost: list[Block | Loss] = [batch.loss] if batch.loss else []
             wanted = batch if between_ns is None else _recorded(batch, *between_ns)
-            results += [
-                (index, batch.n, lost + (_pieces(stream.decoders[at, key], wanted) if wanted.n else []))
-                for index, stream in enumerate(streams)
-                if (at, key) in stream.decoders
-            ]
+            for index, stream in enumerate(streams):
+                if (at, key) not in stream.decoders:
+                    continue
+                pieces: list[Block | Loss] = []
+                if batch.loss:
+                    pieces.append(batch.loss)
+                if wanted.n:
+                    pieces += _pieces(stream.decoders[at, key], wanted)
+                results.append((index, batch.n, pieces))
     except DamagedError as error:
         loss = Loss(error.code, str(error), None)
         concerned = [any((at, key) in stream.decoders for key in missing) for stream in streams]
@@ -196,14 +202,14 @@ def _recorded(batch: Batch, first_ns: int, end_ns: int) -> Batch:
     return batch.part(np.flatnonzero((batch.log_ns >= first_ns) & (batch.log_ns < end_ns)))
 
 
-def _pieces(decoder: Decoder, batch: Batch, *, split: bool = True) -> list[Block | Loss]:
-    """Return the samples; if some messages are damaged, halve the batch down to them."""
+def _pieces(decoder: Decoder, batch: Batch) -> list[Block | Loss]:
+    """Return the samples of a batch; groups with a damaged message are lost."""
     try:
         return [decoder.decode(batch)]
     except DamagedError as error:
-        if batch.n == 1 or not split or error.code in {"encapsulation", "definition"}:
+        if batch.n <= decoder.group or error.code in {"encapsulation", "definition"}:
             return [Loss(error.code, str(error), batch.n)]
-    half = batch.n // 2
-    first = _pieces(decoder, batch.part(slice(half)))
-    hopeless = half > _MAX_TRIED and all(isinstance(piece, Loss) for piece in first)
-    return first + _pieces(decoder, batch.part(slice(half, None)), split=not hopeless)
+    pieces: list[Block | Loss] = []
+    for first in range(0, batch.n, decoder.group):
+        pieces += _pieces(decoder, batch.part(slice(first, first + decoder.group)))
+    return pieces

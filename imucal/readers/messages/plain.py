@@ -27,6 +27,10 @@ Place: TypeAlias = tuple[Position, str]
 _ELEMENT = re.compile(r"(.+)\[(\d+)\]")
 #: CDR pads messages to four bytes.
 _PADDING = 3
+#: Bytes before the frame's length in a ROS 1 header, or a ROS 2 header with encapsulation.
+_BEFORE_FRAME = 12
+#: A longer frame name is damage.
+_MAX_FRAME_BYTES = 256
 
 
 @frozen
@@ -85,6 +89,9 @@ class BinaryDecoder:
     A path names a number, a time (decoded as ns), or one element, ``gyro[0]``; ``step[0]/dt`` is a quotient
     with a duration in µs.
     """
+
+    #: Decoding so few messages takes as long as decoding one.
+    group = 64
 
     def __init__(self, fields: Sequence[Field], paths: Sequence[str], *, ros1: bool) -> None:
         self._ros1 = ros1
@@ -213,3 +220,21 @@ def quotient(steps: NDArray[Any], micros: NDArray[Any]) -> FloatArray:
     seconds = micros.astype(np.float64) * 1e-6
     seconds[seconds <= 0] = np.nan
     return np.asarray(steps / seconds)
+
+
+def frame_of(message: bytes, encoding: str) -> str:
+    """Return the frame in a message header; empty if its bytes can't be a name."""
+    if encoding not in {"ros1", "cdr"} or len(message) < _BEFORE_FRAME + 4:
+        return ""
+    # CDR: the second byte of the encapsulation contains the byte order.
+    little = encoding == "ros1" or message[1] & 1
+    end = (
+        _BEFORE_FRAME
+        + 4
+        + int.from_bytes(message[_BEFORE_FRAME : _BEFORE_FRAME + 4], "little" if little else "big")
+    )
+    name = message[_BEFORE_FRAME + 4 : end].rstrip(b"\x00")
+    if not 0 < end - _BEFORE_FRAME - 4 <= _MAX_FRAME_BYTES or end > len(message):
+        return ""
+    text = name.decode("utf-8", "replace")
+    return text if text.isprintable() else ""

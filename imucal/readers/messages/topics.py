@@ -19,9 +19,8 @@ from imucal.readers.messages.definitions import (
     plain_type,
     read_definitions,
 )
-from imucal.readers.messages.frames import frame_of
 from imucal.readers.messages.loader import Decoder, Stream, decode, first_message
-from imucal.readers.messages.plain import BinaryDecoder, is_reachable
+from imucal.readers.messages.plain import BinaryDecoder, frame_of, is_reachable
 from imucal.readers.messages.trees import TIME, Leaf, TreeDecoder, leaves_of_tree
 from imucal.readers.read_options import ReadOptions
 from imucal.readers.table import STAMPS, Column, Table

@@ -44,6 +44,9 @@ class Leaf:
 class TreeDecoder:
     """Decodes messages one by one, in 6 µs or more each; `paths` are the wanted numbers."""
 
+    #: Some messages of a topic may have no sample.
+    group = 1
+
     def __init__(self, paths: Sequence[str], parse: Parse = json.loads, kind: str = "JSON") -> None:
         self._parse, self._kind = parse, kind
         self._steps = [[name or int(index) for index, name in _STEP.findall(path)] for path in paths]

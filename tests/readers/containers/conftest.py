@@ -1,6 +1,7 @@
 """Fixtures that write files of a few bytes."""
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
@@ -28,11 +29,11 @@ def held(tmp_path: Path) -> Iterator[Callable[..., LogFile]]:
 
 
 @pytest.fixture
-def mcap_of(held: Callable[..., LogFile]) -> Callable[..., McapFile]:
+def mcap_of(held: Callable[..., LogFile]) -> Iterator[Callable[..., McapFile]]:
     """Return a function that writes bytes into a file and opens it as an MCAP file."""
+    with ExitStack() as files:
 
-    def open_mcap(*parts: bytes) -> McapFile:
-        file = held(*parts)
-        return McapFile(file.path, file)
+        def open_mcap(*parts: bytes) -> McapFile:
+            return files.enter_context(closing(McapFile(held(*parts).path)))
 
-    return open_mcap
+        yield open_mcap

@@ -3,12 +3,24 @@
 import struct
 from collections.abc import Mapping
 
-__all__ = ["MAGIC", "bag_head", "chunk", "chunk_info", "connection", "index", "message", "record", "stamp"]
+__all__ = [
+    "MAGIC",
+    "bag_head",
+    "chunk",
+    "chunk_info",
+    "connection",
+    "index",
+    "message",
+    "record",
+    "stamp",
+    "text",
+]
 
 MAGIC = b"#ROSBAG V2.0\n"
 
 
-def _text(value: bytes) -> bytes:
+def text(value: bytes) -> bytes:
+    """Return bytes after their length."""
     return struct.pack("<I", len(value)) + value
 
 
@@ -24,7 +36,7 @@ def stamp(time: int) -> bytes:
 def record(opcode: int, fields: Mapping[bytes, bytes], data: bytes = b"") -> bytes:
     """Return a record."""
     head = {b"op": bytes([opcode]), **fields}
-    return _text(b"".join(_text(name + b"=" + value) for name, value in head.items())) + _text(data)
+    return text(b"".join(text(name + b"=" + value) for name, value in head.items())) + text(data)
 
 
 def message(key: int, time: int, data: bytes = b"") -> bytes:
@@ -34,7 +46,7 @@ def message(key: int, time: int, data: bytes = b"") -> bytes:
 
 def connection(key: int, topic: bytes = b"/imu", kind: bytes = b"a/B") -> bytes:
     """Return a connection."""
-    data = _text(b"type=" + kind) + _text(b"message_definition=int8 x")
+    data = text(b"type=" + kind) + text(b"message_definition=int8 x")
     return record(7, {b"conn": _number(key), b"topic": topic}, data)
 
 

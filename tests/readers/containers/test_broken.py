@@ -105,6 +105,38 @@ def test_a_damaged_page_of_a_database_loses_its_messages(compression: str, tmp_p
     assert f"; about {lost} messages are lost." in damage.text
 
 
+def test_a_damaged_message_of_a_database_loses_its_neighbours(tmp_path: Path) -> None:
+    """A group of 64 messages is lost and reported; a database is read in parts of thousands of messages."""
+    path = next(write_db3(tmp_path / "bag", imu_messages(TRUTH)).glob("*.db3"))
+    base = sqlite3.connect(path)
+    (data,) = base.execute("select data from messages where id = 201").fetchone()
+    # The length of the frame id follows the encapsulation and the stamp.
+    base.execute("update messages set data = ? where id = 201", (data[:12] + b"\xff" * 4 + data[16:],))
+    base.commit()
+    base.close()
+    recording = read(path)
+    assert np.array_equal(rows(recording), np.delete(TRUTH.all, range(192, 256), axis=0))
+    damage = next(f for f in recording.findings if f.code == "damaged")
+    assert damage.text.startswith("The log is damaged in one place: ")
+    assert damage.text.endswith("; about 64 messages are lost.")
+
+
+def test_the_samples_after_a_damaged_part_of_a_bag_are_read(tmp_path: Path) -> None:
+    """Inserted bytes shift the rest of the bag; the loss is reported with its number of messages."""
+    path = write_bag(tmp_path / "log.bag", imu_messages(TRUTH, ros1=True), compression="bz2")
+    data = path.read_bytes()
+    middle = len(data) // 2
+    path.write_bytes(data[:middle] + b"inserted" + data[middle:])
+    recording = read(path)
+    lost = 400 - recording.series[0].n
+    assert 0 < lost < 50
+    (gap,) = recording.series[0].clock.gaps
+    assert gap.missing == lost
+    texts = [finding.text for finding in recording.findings]
+    assert any(text.startswith("The bag is damaged in one place (") for text in texts)
+    assert any(text.endswith(f"; about {lost} messages are lost.") for text in texts)
+
+
 def test_the_lost_bytes_of_a_cut_file_are_reported(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "log.mcap", imu_messages(TRUTH), compression="none")
     copy = cut(path, path.stat().st_size // 2)
@@ -223,9 +255,7 @@ def test_reads_an_unindexed_bag(tmp_path: Path) -> None:
     recording = read(active)
     assert np.array_equal(rows(recording), TRUTH.all)
     assert recording.findings[0].code == "unindexed"
-    assert recording.findings[0].text == (
-        "The index can't be used (the bag was not closed and has no index); all records were scanned instead."
-    )
+    assert recording.findings[0].text == ("The bag was not closed. All complete chunks were read.")
 
 
 def test_refuses_an_encrypted_bag(tmp_path: Path) -> None:
@@ -317,7 +347,7 @@ def test_claims_of_impossible_sizes_take_no_memory(compression: str, tmp_path: P
 
 
 def test_a_bag_that_claims_billions_of_messages_takes_no_memory(tmp_path: Path) -> None:
-    """The counts in the index section are limited to the number of messages that fit in the chunk."""
+    """The counts are limited to the number of index entries that fit into the file."""
     path = write_bag(tmp_path / "log.bag", imu_messages(TRUTH, ros1=True))
     data = bytearray(path.read_bytes())
     at = data.index(b"index_pos=") + len(b"index_pos=")
@@ -339,7 +369,7 @@ def test_a_bag_that_claims_billions_of_messages_takes_no_memory(tmp_path: Path) 
             b"hello",
             "not a ROS 1 bag (first bytes b'hello'); expected b'#ROSBAG V2.0\\n', copy or record",
         ),
-        ("no.bag", b"#ROSBAG V2.0\n", "a record header is damaged, and no connection was found"),
+        ("no.bag", b"#ROSBAG V2.0\n", "the bag is cut off or damaged: no connection was found"),
         (
             "no.mcap",
             b"\x89MCAP0\r\n",

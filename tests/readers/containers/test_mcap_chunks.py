@@ -44,7 +44,7 @@ def test_a_chunk_without_an_index_is_read_record_by_record(mcap_of: McapOf) -> N
     assert {key: payloads(batch) for key, batch in found.items()} == {1: [b"abcd", b"efgh"], 2: [b"", b""]}
     assert {key: batch.log_ns.tolist() for key, batch in found.items()} == {1: [10, 30], 2: [20, 40]}
     assert all(batch.loss is None for batch in found.values())
-    assert {key: batch.n for key, batch in loaded(mcap_of, message(2, 5)).items()} == {1: 0, 2: 1}
+    assert {key: batch.n for key, batch in loaded(mcap_of, message(2, 5)).items()} == {2: 1}
 
 
 def test_a_chunk_can_contain_a_single_message(mcap_of: McapOf) -> None:

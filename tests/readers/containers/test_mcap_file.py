@@ -179,6 +179,18 @@ def test_a_chunk_can_end_with_the_file(held: Held) -> None:
         assert BEYOND in file.findings[0].text
 
 
+def test_a_message_index_without_entries_lists_no_message(held: Held) -> None:
+    """A channel without messages has no times."""
+    data = DATA + index(9)
+    summary = DEFINITIONS + channel(9, b"/none") + statistics(counts={7: 4, 8: 1})
+    summary += chunk_index(0) + chunk_index(1, k9=len(DATA))
+    with opened(held, data=data, summary=summary) as file:
+        assert file.findings == []
+        assert [(c.count, c.first_ns, c.last_ns) for c in file.channels][2] == (0, None, None)
+        (task,) = file.tasks(frozenset({9}))
+        assert [(key, batch.n, batch.loss) for key, batch in task.load()] == [(9, 0, None)]
+
+
 @pytest.mark.parametrize("known", [False, True])
 def test_an_unknown_compression_of_all_chunks_is_refused(held: Held, known: bool) -> None:  # noqa: FBT001
     """If only one chunk has such a name, the name is damaged and the other chunks are read."""

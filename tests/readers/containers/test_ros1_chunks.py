@@ -3,6 +3,7 @@
 import bz2
 import struct
 from collections.abc import Callable
+from contextlib import closing
 
 import pytest
 
@@ -29,7 +30,6 @@ RAW = CONNECTION + b"".join(MESSAGES)
 FIRST = len(CONNECTION)
 SECOND_AT, THIRD = FIRST + len(MESSAGES[0]), FIRST + len(MESSAGES[0]) + len(MESSAGES[1])
 ONE, TWO = index(1, (SECOND + 5, FIRST), (2 * SECOND + 6, THIRD)), index(2, (7, SECOND_AT))
-WALKED = "an index record is missing; all records of its chunk were read instead"
 ELSEWHERE = "an index record points to wrong records; all records of its chunk were read instead"
 BEYOND = "a message extends beyond its chunk; all records of its chunk were read instead"
 
@@ -40,20 +40,24 @@ def payloads(batch: Batch) -> list[bytes]:
 
 
 def bag(held: Held, *parts: bytes, closed: bool = True) -> BagFile:
-    """Return a bag of one chunk and its index records; a bag that was not closed has no index section."""
+    """Return a bag of one chunk and its index records; the end of a closed bag counts its messages."""
     start = len(MAGIC + bag_head(0))
     end = start + len(b"".join(parts))
     section = connection(1) + connection(2) + chunk_info(start, {1: 2, 2: 1})
     head = bag_head(end if closed else 0, 2, 1)
-    file = held(MAGIC, head, *parts, *([section] if closed else []))
-    return BagFile(file.path, file)
+    return BagFile(held(MAGIC, head, *parts, *([section] if closed else [])).path)
+
+
+def messages(file: BagFile) -> dict[int, Batch]:
+    """Return connection -> its messages, and close the bag."""
+    with closing(file):
+        tasks = list(file.tasks(frozenset({1, 2})))
+        return {key: batch for task in tasks for key, batch in task.load()}
 
 
 def loaded(held: Held, *parts: bytes, closed: bool = True) -> dict[int, Batch]:
     """Return connection -> its messages in the chunk of a bag."""
-    file = bag(held, *parts, closed=closed)
-    (task,) = file.tasks(frozenset({1, 2}))
-    return dict(task.load())
+    return messages(bag(held, *parts, closed=closed))
 
 
 def test_index_records_give_the_messages_and_times_of_a_chunk(held: Held) -> None:
@@ -62,13 +66,6 @@ def test_index_records_give_the_messages_and_times_of_a_chunk(held: Held) -> Non
     assert found[1].log_ns.tolist() == [SECOND + 5, 2 * SECOND + 6]
     assert found[2].log_ns.tolist() == [7]
     assert {batch.loss for batch in found.values()} == {None}
-
-
-def test_an_index_record_without_entries_lists_no_messages(held: Held) -> None:
-    """Messages of other connections are read."""
-    found = loaded(held, chunk(RAW), index(1), TWO)
-    assert (found[1].n, payloads(found[1]), found[1].loss) == (0, [], None)
-    assert payloads(found[2]) == [b""]
 
 
 def test_an_index_entry_can_point_to_a_connection_record(held: Held) -> None:
@@ -142,25 +139,21 @@ def test_only_connections_are_skipped(held: Held) -> None:
         (TWO, ONE[:-1]),
         (TWO, record(9, {}), ONE),
         (TWO, bytes(8), ONE),
-        (TWO, record(4, {b"conn": bytes(3), b"count": bytes(4)}), ONE),
+        (TWO, record(4, {b"conn": bytes(3), b"count": bytes(4)}, bytes(12)), ONE),
+        (TWO, record(4, {b"conn": b"\x01\0\0\0", b"count": b"\x02\0\0\0"}, bytes(23))),
     ],
 )
-def test_a_missing_index_record_is_reported(parts: tuple[bytes, ...], held: Held) -> None:
-    """Index records end at the first incomplete, damaged or other record; those before it are used."""
-    found = loaded(held, chunk(RAW), *parts)
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_damaged_index_record_is_reported(
+    parts: tuple[bytes, ...],
+    held: Held,
+    closed: bool,  # noqa: FBT001
+) -> None:
+    """The chunk is read record by record, and the bytes without a following chunk are reported as lost."""
+    file = bag(held, chunk(RAW), *parts, closed=closed)
+    found = messages(file)
     assert {key: payloads(batch) for key, batch in found.items()} == {1: [b"abcd", b"efgh"], 2: [b""]}
-    assert found[1].loss is not None
-    assert (found[1].loss.code, found[1].loss.text) == ("index", WALKED)
-    assert (found[2].loss is None) == (parts[:1] == (TWO,))
-
-
-def test_an_incomplete_index_entry_is_damage(held: Held) -> None:
-    """The chunk is read record by record."""
-    damaged = record(4, {b"conn": b"\x01\0\0\0", b"count": b"\x02\0\0\0"}, bytes(23))
-    batch = loaded(held, chunk(RAW), damaged)[1]
-    assert payloads(batch) == [b"abcd", b"efgh"]
-    assert batch.loss is not None
-    assert batch.loss.text == "an index record is damaged; all records of its chunk were read instead"
+    assert [finding.code for finding in file.findings] == ["truncated"]
 
 
 @pytest.mark.parametrize("closed", [False, True])
@@ -172,19 +165,15 @@ def test_a_chunk_without_index_records_is_read_record_by_record(held: Held, clos
     assert found[1].log_ns.tolist() == [SECOND + 5, 2 * SECOND + 6]
 
 
-def test_a_truncated_chunk_is_damage(held: Held) -> None:
-    with pytest.raises(DamagedError, match=r"^a chunk's head is damaged$"):
-        loaded(held, chunk(RAW)[:-1])
-
-
 def test_a_chunk_is_unpacked_up_to_the_end_of_its_record() -> None:
     for data in (chunk(RAW), chunk(bz2.compress(RAW), b"bz2", len(RAW))):
-        raw, end = unpack(memoryview(data + b"more"))
-        assert (bytes(raw), end) == (RAW, len(data))
+        assert bytes(unpack(memoryview(data + b"more"))) == RAW
     without = record(5, {b"size": struct.pack("<I", 3)}, b"abc")
-    assert bytes(unpack(memoryview(without))[0]) == b"abc"
+    assert bytes(unpack(memoryview(without))) == b"abc"
     with pytest.raises(DamagedError, match=r"^a chunk's head is damaged$"):
         unpack(memoryview(message(1, 2)))
+    with pytest.raises(DamagedError, match=r"^a chunk's head is damaged$"):
+        unpack(memoryview(chunk(RAW)[:-1]))
     with pytest.raises(DamagedError, match=r"has a declared size"):
         unpack(memoryview(chunk(RAW, size=len(RAW) + 1)))
 

@@ -1,4 +1,4 @@
-"""A ROS 1 bag, byte by byte: its index section, and the scan if the section is missing or wrong."""
+"""A ROS 1 bag, byte by byte: the scan of its records, and the counts at its end."""
 
 import struct
 from collections.abc import Callable
@@ -7,7 +7,8 @@ import pytest
 
 from imucal.errors import ReadError
 from imucal.readers.containers import ros1
-from imucal.readers.containers.ros1 import BagFile, Chunk, Record
+from imucal.readers.containers.container import Batch
+from imucal.readers.containers.ros1 import BagFile, Record
 from imucal.readers.files import DamagedError, LogFile
 from tests.readers.containers.ros1_bytes import (
     MAGIC,
@@ -19,6 +20,7 @@ from tests.readers.containers.ros1_bytes import (
     message,
     record,
     stamp,
+    text,
 )
 
 Held = Callable[..., LogFile]
@@ -52,116 +54,224 @@ def scanned(held: Held, *parts: bytes) -> BagFile:
 
 
 def lost(bag: BagFile) -> int:
-    """Return the number of lost bytes in the scan's finding."""
-    text = bag.findings[-1].text
-    assert text.startswith("The index can't be used (")
-    assert ("cut off or damaged" in text) == (bag.findings[-1].code == "truncated" and "The last" in text)
-    return int(text.partition("The last ")[2].split()[0]) if "The last" in text else 0
+    """Return the number of lost bytes at the end in the scan's finding."""
+    (finding,) = bag.findings
+    _, cut, rest = finding.text.partition("The last ")
+    assert finding.text.endswith("All complete chunks were read.")
+    if not cut:
+        return 0
+    assert finding.code == "truncated"
+    assert f" of {bag.size} bytes are cut off or damaged." in rest
+    return int(rest.split()[0])
 
 
-def test_the_index_section_describes_a_bag(held: Held) -> None:
-    """Each chunk ends at the next one, the last at the index. Times and counts are totals of all chunks."""
+def counts(bag: BagFile) -> dict[int, int | None]:
+    """Return connection -> number of its messages."""
+    return {channel.key: channel.count for channel in bag.channels}
+
+
+def batches(bag: BagFile, key: int) -> list[Batch]:
+    """Return the messages of a connection by chunk."""
+    return [batch for task in bag.tasks(frozenset({key})) for _, batch in task.load()]
+
+
+def test_a_bag_is_described(held: Held) -> None:
+    """Times and counts are totals of all chunks."""
     found = bag(held, SECTION + infos(HEAD + len(CHUNK), HEAD))
-    found.close()
     assert found.findings == []
     first, second = found.channels
     assert (first.key, first.topic, first.type, first.encoding) == (1, "/imu", "a/B", "ros1")
     assert (first.definition, first.definition_kind) == ("int8 x", "ros1msg")
     assert (first.count, second.count, second.topic) == (4, 2, "/gps")
-    span = (SECOND + 5 + HEAD, 3 * SECOND + HEAD + len(CHUNK))
-    assert (first.first_ns, first.last_ns) == (found.start_ns, found.end_ns) == span
-    assert sorted(chunk.end - chunk.start for chunk in found._chunks) == [len(CHUNK), len(CHUNK)]
+    assert (first.first_ns, first.last_ns) == (found.start_ns, found.end_ns) == (SECOND + 5, 3 * SECOND)
+    assert (second.first_ns, second.last_ns) == (2 * SECOND, 2 * SECOND)
     assert (found.compression, found.parallel, found.format) == ("none", True, "rosbag1")
-    found = bag(held, SECTION + infos(HEAD, HEAD + len(CHUNK)))
     tasks = list(found.tasks(frozenset({2})))
     assert [task.keys for task in tasks] == [{2}, {2}]
+    assert [task.size for task in tasks] == [len(chunk(RAW))] * 2
     assert list(found.tasks(frozenset({3}))) == []
     found.close()
 
 
+BOTH = SECTION + infos(HEAD, HEAD + len(CHUNK))
+
+
 @pytest.mark.parametrize(
-    ("section", "options", "reason"),
+    ("section", "options", "code", "text"),
     [
-        (SECTION + infos(HEAD), {}, "the index is cut off"),
-        (SECTION + infos(HEAD, HEAD + len(CHUNK)), {"connections": 3}, "the index is cut off"),
-        ((SECTION + infos(HEAD, HEAD + len(CHUNK)))[:-1], {}, "the index is cut off"),
-        (SECTION + infos(HEAD, HEAD), {}, "the index points to wrong chunks"),
-        (SECTION + infos(len(MAGIC), HEAD), {}, "the index points to wrong chunks"),
-        (SECTION + infos(HEAD, HEAD + 2 * len(CHUNK)), {}, "the index points to wrong chunks"),
-        (SECTION + record(6, {}, bytes(7)), {}, "a chunk's entry in the index is damaged"),
-        (
-            SECTION + chunk_info(HEAD, {1: 2, 3: 1}) + infos(HEAD + len(CHUNK)),
-            {},
-            "the index counts messages of unknown connections",
-        ),
-        (
-            SECTION + chunk_info(HEAD, {1: 2, 2: 0}) + infos(HEAD + len(CHUNK)),
-            {},
-            "a chunk's entry in the index is damaged",
-        ),
-        (SECTION, {"at": 10**6}, "the index is beyond the end of the file"),
-        (SECTION, {"at": len(MAGIC) - 1}, "the index is beyond the end of the file"),
-        (SECTION, {"at": 0}, "the bag was not closed and has no index"),
+        (SECTION + infos(HEAD), {}, "truncated", "The index at the end of the bag is incomplete."),
+        (BOTH, {"connections": 3}, "truncated", "The index at the end of the bag is incomplete."),
+        (BOTH, {"chunks": 3}, "truncated", "The index at the end of the bag is incomplete."),
+        (SECTION, {"at": 10**6}, "truncated", "The index at the end of the bag is incomplete."),
+        (BOTH[:-1], {}, "truncated", "The last "),
+        (SECTION + record(6, {}, bytes(7)), {}, "truncated", "The last "),
+        (SECTION, {"at": 0}, "unindexed", "The bag was not closed."),
     ],
 )
-def test_a_damaged_index_section_is_replaced_by_a_scan(
-    section: bytes, options: dict[str, int], reason: str, held: Held
+def test_an_incomplete_end_of_a_bag_is_reported(
+    section: bytes, options: dict[str, int], code: str, text: str, held: Held
 ) -> None:
-    """Each message is read once, and the reason is reported."""
+    """Each message is read once."""
     found = bag(held, section, **options)
-    found.close()
-    assert found.findings[-1].text.startswith(f"The index can't be used ({reason}); all records were scanned")
-    assert {channel.key: channel.count for channel in found.channels} == {1: 4, 2: 2}
+    (finding,) = found.findings
+    assert (finding.level, finding.code) == ("warning", code)
+    assert finding.text.startswith(text)
+    assert counts(found) == {1: 4, 2: 2}
+    assert [batch.n for batch in batches(found, 1)] == [2, 2]
     assert (found.start_ns, found.end_ns) == (SECOND + 5, 3 * SECOND)
+    found.close()
 
 
-def test_an_empty_bag_has_an_index_right_after_its_first_record(held: Held) -> None:
-    """The bag was opened and closed. A bag that ends at the start of its index is truncated."""
+@pytest.mark.parametrize(
+    ("stated", "count"),
+    [
+        ({1: 2, 2: 0}, 4),
+        ({1: 2, 3: 1}, 4),
+        ({1: 0}, 4),
+        ({1: 3, 2: 1}, 5),
+        # Each message takes at least twelve bytes.
+        ({1: (1 << 32) - 1, 2: 1}, None),
+    ],
+)
+def test_the_counts_at_the_end_only_raise_the_number_of_messages(
+    stated: dict[int, int], count: int | None, held: Held
+) -> None:
+    """Fewer messages than counted are reported as lost; all messages are read."""
+    found = bag(held, SECTION + chunk_info(HEAD, stated) + infos(HEAD + len(CHUNK)))
+    assert counts(found) == {1: found.size // 12 if count is None else count, 2: 2}
+    assert [batch.n for batch in batches(found, 1)] == [2, 2]
+    found.close()
+
+
+def test_chunks_that_are_listed_at_the_end_and_not_found_are_counted(held: Held) -> None:
+    """So that the loss of their messages is reported."""
+    found = bag(held, SECTION + infos(HEAD, HEAD + len(CHUNK), HEAD + 5))
+    assert counts(found) == {1: 6, 2: 3}
+    assert [batch.n for batch in batches(found, 1)] == [2, 2]
+    found.close()
+
+
+def test_counts_at_the_end_of_chunks_at_other_positions_are_compared(held: Held) -> None:
+    """Bytes were inserted, so positions at the end are wrong, and no message is lost."""
+    found = BagFile(held(MAGIC, bag_head(HEAD + 2 * len(CHUNK), 2, 2), b"?" * 9, CHUNK, CHUNK, BOTH).path)
+    assert [finding.code for finding in found.findings] == ["damaged"]
+    assert counts(found) == {1: 4, 2: 2}
+    assert [batch.n for batch in batches(found, 1)] == [2, 2]
+    found.close()
+
+
+@pytest.mark.parametrize("most", [0, 1])
+def test_the_search_for_the_next_chunk_is_limited(
+    most: int, held: Held, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file full of fields that look like a chunk's would take hours."""
+    monkeypatch.setattr(ros1, "_MAX_CANDIDATES", most)
+    found = scanned(held, CHUNK, b"?" * 30, CHUNK)
+    assert counts(found) == {1: 2 + 2 * most}
+    assert [finding.code for finding in found.findings] == ["damaged" if most else "truncated"]
+    found.close()
+
+
+@pytest.mark.parametrize("rest", [b"", index(1)])
+def test_the_messages_of_a_connection_without_an_index_record_are_counted(rest: bytes, held: Held) -> None:
+    """The end of the bag counts them, so that their loss is reported."""
+    lacking = chunk(RAW) + rest + index(2, (2 * SECOND, GPS_AT))
+    info = chunk_info(HEAD, {1: 2, 2: 1})
+    found = BagFile(held(MAGIC, bag_head(HEAD + len(lacking), 2, 1), lacking, SECTION, info).path)
+    assert counts(found) == {1: 2, 2: 1}
+    assert batches(found, 1) == []
+    assert [batch.n for batch in batches(found, 2)] == [1]
+    found.close()
+
+
+def test_an_empty_bag_has_connections(held: Held) -> None:
+    """The bag was opened and closed."""
     found = BagFile(held(MAGIC, bag_head(HEAD), connection(1)).path)
     found.close()
     assert (found.findings, found.compression, found.start_ns, found.end_ns) == ([], "none", None, None)
     assert [(c.count, c.first_ns, c.last_ns) for c in found.channels] == [(0, None, None)]
-    found = BagFile(held(MAGIC, bag_head(HEAD + len(CHUNK) * 2, 2, 2), connection(2), CHUNK, CHUNK).path)
-    found.close()
-    assert found.findings[-1].text.startswith("The index can't be used (")
 
 
-def test_a_scan_counts_the_messages_by_index_records(held: Held) -> None:
+def test_messages_are_counted_by_index_records(held: Held) -> None:
     """Connections can be defined between chunks."""
     found = scanned(held, CHUNK, connection(2, b"/gps"), CHUNK)
     found.close()
     assert lost(found) == 0
     (finding,) = found.findings
     assert (finding.level, finding.code) == ("warning", "unindexed")
+    assert finding.text == "The bag was not closed. All complete chunks were read."
     assert {c.topic: c.count for c in found.channels} == {"/imu": 4, "/gps": 2}
-    assert {(c.first_ns, c.last_ns) for c in found.channels} == {(SECOND + 5, 3 * SECOND)}
-    counts, second = {1: 2, 2: 1}, HEAD + len(CHUNK) + len(connection(2, b"/gps"))
-    assert found._chunks == [
-        Chunk(HEAD, HEAD + len(CHUNK), counts, SECOND + 5, 3 * SECOND),
-        Chunk(second, second + len(CHUNK), counts, SECOND + 5, 3 * SECOND),
-    ]
 
 
-def test_a_scan_counts_the_messages_of_a_chunk_without_index_records(held: Held) -> None:
+def test_the_messages_of_a_chunk_without_index_records_are_counted(held: Held) -> None:
     """An index record after another record belongs to no chunk."""
     found = scanned(held, chunk(RAW), connection(2, b"/gps"), index(1, (SECOND, 0)))
+    assert counts(found) == {1: 2, 2: 1}
+    assert [(c.first_ns, c.last_ns) for c in found.channels] == [
+        (SECOND + 5, 3 * SECOND),
+        (2 * SECOND, 2 * SECOND),
+    ]
+    assert [(batch.n, batch.loss) for batch in batches(found, 1)] == [(2, None)]
     found.close()
-    assert found._chunks == [Chunk(HEAD, HEAD + len(chunk(RAW)), {1: 2, 2: 1}, SECOND + 5, 3 * SECOND)]
 
 
-def test_a_damaged_index_record_has_no_times(held: Held) -> None:
-    """The connection of the record still has messages in the chunk."""
-    damaged = record(4, {b"conn": b"\x01\0\0\0"}, bytes(25))
-    found = scanned(held, chunk(RAW), damaged)
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        record(4, {b"conn": b"\x01\0\0\0"}, bytes(25)),
+        record(4, {b"conn": b"\x01\0\0"}, bytes(12)),
+        record(12, {b"conn": b"\x01\0\0\0"}, bytes(12)),
+        record(4, {b"nnoc": b"\x01\0\0\0"}, bytes(12)),
+        index(2, (2 * SECOND, GPS_AT)),
+        index(9, (SECOND + 5, AT)),
+        b"?" * 40,
+    ],
+)
+def test_a_chunk_with_a_damaged_index_record_is_searched(damaged: bytes, held: Held) -> None:
+    """All messages of the chunk are read, although the bag was not closed."""
+    gps = index(2, (2 * SECOND, GPS_AT))
+    found = scanned(held, connection(2, b"/gps"), chunk(RAW), gps, damaged, CHUNK)
+    assert counts(found) == {1: 4, 2: 2}
+    assert [batch.n for batch in batches(found, 1)] == [2, 2]
+    assert [batch.n for batch in batches(found, 2)] == [1, 1]
     found.close()
-    assert [(c.counts, c.first_ns, c.last_ns) for c in found._chunks] == [({1: 2}, 0, 0)]
-    assert [task.keys for task in found.tasks(frozenset({1, 2}))] == [{1}]
+
+
+@pytest.mark.parametrize("damaged", [b"?" * 50, bytes(50), chunk(RAW)[1:], b"op=\x05" * 20])
+def test_the_chunks_after_a_damaged_part_are_read(damaged: bytes, held: Held) -> None:
+    """Bytes were inserted or deleted, or a sector is damaged; the next chunk is found by its header."""
+    found = scanned(held, CHUNK, damaged, CHUNK)
+    (finding,) = found.findings
+    assert finding.code == "damaged"
+    at = HEAD + len(CHUNK)
+    assert f"The bag is damaged in one place ({len(damaged)} bytes at byte {at}: " in finding.text
+    assert counts(found) == {1: 4}
+    assert [batch.n for batch in batches(found, 1)] == [2, 2]
+    found.close()
+
+
+def test_a_chunk_is_found_across_searched_blocks(held: Held, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The length of the damaged part decides which block contains the header of the next chunk."""
+    monkeypatch.setattr(ros1, "_SEARCHED", 100)
+    for size in range(1, 220):
+        found = scanned(held, CHUNK, b"?" * size, CHUNK)
+        assert counts(found) == {1: 4}
+        found.close()
+
+
+def test_an_unfinished_chunk_is_lost(held: Held) -> None:
+    """A killed recorder leaves a chunk of size 0, followed by its messages."""
+    rest = chunk(b"") + RAW
+    found = scanned(held, CHUNK, rest)
+    found.close()
+    assert lost(found) == len(rest)
+    assert counts(found) == {1: 2}
 
 
 def test_the_first_record_of_a_connection_is_used(held: Held) -> None:
     """Chunks repeat it; a damaged one is ignored."""
     damaged = record(7, {b"conn": bytes(3)})
-    found = scanned(held, damaged, connection(1), CHUNK, connection(1, b"/other"))
+    found = scanned(held, damaged, CHUNK, connection(1), CHUNK, connection(1, b"/other"))
     found.close()
     assert [channel.topic for channel in found.channels] == ["/imu"]
 
@@ -170,7 +280,8 @@ def test_the_first_record_of_a_connection_is_used(held: Held) -> None:
     ("end", "left"),
     [
         (b"", 0),
-        (record(9, {}), 0),
+        (record(9, {}), len(record(9, {}))),
+        (message(1, 2), len(message(1, 2))),
         (record(9, {})[:-1], len(record(9, {})) - 1),
         (b"\x03\x02\x01", 3),
         (bytes(8), 8),
@@ -179,7 +290,7 @@ def test_the_first_record_of_a_connection_is_used(held: Held) -> None:
         (struct.pack("<I", 1 << 31) + b"?" * 30, 34),
     ],
 )
-def test_a_scan_ends_at_the_first_incomplete_record(end: bytes, left: int, held: Held) -> None:
+def test_a_scan_ends_at_the_last_complete_record(end: bytes, left: int, held: Held) -> None:
     """The rest of the file is lost, and its size is reported."""
     found = scanned(held, CHUNK, end)
     found.close()
@@ -211,18 +322,14 @@ def test_a_damaged_chunk_without_index_records_is_tried_when_messages_are_read(h
 
 
 def test_a_bag_with_unknown_compression_is_refused(held: Held) -> None:
-    """The error contains the name of the compression. With a damaged first record the name is unknown."""
+    """The error contains the name of the compression."""
     path = held(MAGIC, bag_head(0), chunk(RAW, b"snappy"), connection(1)).path
     with pytest.raises(ReadError) as caught:
         BagFile(path)
     assert str(caught.value) == f"{path}: chunks are compressed by 'snappy'; expected none, lz4 or bz2"
-    found = bag(held, SECTION + infos(HEAD + 1, HEAD + len(CHUNK)))
-    found.close()
-    assert found.compression == "unknown"
 
 
 def test_a_time_has_eight_bytes() -> None:
     """The bytes are seconds and nanoseconds; a missing time is 0."""
-    assert Record({b"time": stamp(3 * SECOND + 4)}, 0, 0).time_ns(b"time") == 3 * SECOND + 4
-    assert Record({}, 0, 0).time_ns(b"time") == 0
-    assert ros1._MAX_INDEX == 2**31
+    assert Record(text(b"time=" + stamp(3 * SECOND + 4)), 0, 0).time_ns(b"time") == 3 * SECOND + 4
+    assert Record(b"", 0, 0).time_ns(b"time") == 0

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from imucal.readers import read
-from imucal.readers.messages.frames import frame_of
+from imucal.readers.messages.plain import frame_of
 from tests.readers.logs import CONTAINERS, imu_messages, samples, write_mcap
 
 
