@@ -14,7 +14,7 @@ from imucal.findings import Finding
 from imucal.frozen import frozen_alone
 from imucal.readers.clocks.changes import rate_change
 from imucal.readers.clocks.evened import evened
-from imucal.readers.clocks.notes import jitter_notes, jump_notes, rate_notes, stamp_notes
+from imucal.readers.clocks.notes import jitter_notes, jump_notes, rate_notes, stamp_notes, tick_notes
 from imucal.readers.clocks.period import Period
 from imucal.readers.clocks.placing import (
     NO_BREAKS,
@@ -241,7 +241,10 @@ class _Stamps:
         log_ns = self.log_ns if self.source != LOG_TIME else None
         missing, jumps = _believable(stamps, log_ns, breaks, resets, period.tau_ns)
         notes += stamp_notes(steps, stamps.size, breaks, period)
-        notes += jitter_notes(period, jitter, stamps.size)
+        uneven = jitter_notes(period, jitter, stamps.size)
+        if not uneven and rate_hz is None:
+            uneven = tick_notes(period, stamps.size, _missing_singly(breaks))
+        notes += uneven
         notes += jump_notes(stamps, jumps)
         measured = 1e9 / period.tau_ns
         notes += rate_notes(measured, rate_hz)
@@ -285,6 +288,9 @@ class _Stamps:
                 period = replace(period, tau_ns=tau)
         # No rate explains contradicted stamps, so the mean is used, with a finding.
         wander_of_all = np.inf if is_contradicted else _wander_of(stamps, period, breaks)
+        if period.burst > 1 and period.resolution_ns > period.tau_ns:
+            # Batches that share a tick are known to a sample, which evened stamps don't show.
+            wander_of_all = max(wander_of_all, period.wander)
         return replace(period, wander=wander_of_all), breaks, jitter
 
     def _clock_of_rate(self, rate_hz: float | None) -> Clock:
@@ -330,6 +336,11 @@ def _filled(stamps: IntArray) -> IntArray:
     return filled
 
 
+def _missing_singly(breaks: Breaks) -> int:
+    """Return the number of missing samples that are not in long gaps."""
+    return int(breaks.missing[breaks.missing < _MIN_PAUSE].sum())
+
+
 def _wander_of(stamps: IntArray, period: Period, breaks: Breaks) -> float:
     """Return the wander of stamps about the placed samples, at some of them."""
     step = max(stamps.size // _WANDERING, 1)
@@ -345,8 +356,7 @@ def _wander_of(stamps: IntArray, period: Period, breaks: Breaks) -> float:
         moves[np.diff(pauses, prepend=pauses[0]) > 0] = 0.0
         late = np.cumsum(moves)
     # Long gaps contain no stamps that wander.
-    single = int(breaks.missing[breaks.missing < _MIN_PAUSE].sum())
-    places_per_stamp = (int(some[-1]) + single) / max(some.size - 1, 1)
+    places_per_stamp = (int(some[-1]) + _missing_singly(breaks)) / max(some.size - 1, 1)
     return wander(late, places_per_stamp, period.resolution_ns / period.tau_ns)
 
 

@@ -111,8 +111,18 @@ def _usual_wander(anchors: list[_Anchors], tau: float, tick: int, *, most: float
             moves = np.diff(each.times) / tau - np.diff(each.places)
             moves[np.abs(moves) > most] = 0.0
             places_per_stamp = float(each.places[-1] - each.places[0]) / (each.places.size - 1)
-            wanders.append(wander(np.cumsum(moves), places_per_stamp, tick / tau))
+            wanders.append(wander(np.cumsum(moves), places_per_stamp, _resolution(each, tick) / tau))
     return median(wanders) if wanders else 0.0
+
+
+def _resolution(anchors: _Anchors, tick: int) -> float:
+    """Return the resolution of the times of anchors, in ns.
+
+    If every tick has several samples, the first one after its beginning is late by less than a period.
+    """
+    is_batch_a_tick = median(np.diff(anchors.times)) <= tick
+    samples_per_batch = median(np.diff(anchors.places))
+    return tick / samples_per_batch if is_batch_a_tick else tick
 
 
 def _come_in_batches(runs: Runs) -> bool:

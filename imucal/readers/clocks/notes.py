@@ -4,9 +4,16 @@ import numpy as np
 
 from imucal.arrays import IntArray
 from imucal.findings import Finding
-from imucal.readers.clocks.period import Period
+from imucal.readers.clocks.period import SAME, Period
 from imucal.readers.clocks.placing import Breaks, Steps
 from imucal.readers.clocks.wander import MAX_WANDER
+
+#: Relative difference of tick and period up to which few ticks are empty or double.
+_SAME_AS_A_TICK = 0.05
+#: Share of regular ticks that is found, in standard deviations of the mean count of a tick: the sum of 32
+#: lines exceeds the limit of `ticks` from 1.2 on.
+_HIDDEN = 1.2
+_GIVE = "Log the samples as the sensor delivers them, or give the sampling rate."
 
 
 def stamp_notes(steps: Steps, n: int, breaks: Breaks, period: Period) -> list[Finding]:
@@ -86,8 +93,28 @@ def jitter_notes(period: Period, jitter_ns: float, n: int) -> list[Finding]:
             "times of a camera. The mean rate is used; with the rate of the steps, N would change by "
             f"{np.sqrt(usual / tau) - 1:+.1%}."
         )
-    advice = "Log the samples as the sensor delivers them, or give the sampling rate."
-    return [Finding("warning", "uneven-stamps", text, advice)] if text else []
+    return [Finding("warning", "uneven-stamps", text, _GIVE)] if text else []
+
+
+def tick_notes(period: Period, n: int, missing: int) -> list[Finding]:
+    """Return a finding if samples are missing on a clock with ticks of a period, and few samples are known.
+
+    A period of almost a tick leaves ticks empty, or with two samples, regularly. Random losses hide a small
+    share of these: their noise is higher than the lines of the share in the spectrum of the counts.
+    """
+    is_tick = abs(period.resolution_ns / period.tau_ns - 1) < _SAME_AS_A_TICK
+    if not is_tick or period.tick_ns or not missing:
+        return []
+    lost = missing / (n + missing)
+    hidden = _HIDDEN * np.sqrt(lost / (1 - lost) / (n + missing))
+    if hidden < SAME:
+        return []
+    text = (
+        f"The resolution of the time stamps is about a sampling period, and {lost:.0%} of the samples are "
+        f"missing. The rate, {period.rate_hz:.6g} Hz, may be wrong by up to {hidden:.1%}, because some ticks "
+        "without a sample may be regular; N is proportional to the square root of the rate."
+    )
+    return [Finding("warning", "uneven-stamps", text, _GIVE)]
 
 
 def jump_notes(stamps: IntArray, jumps: dict[int, int]) -> list[Finding]:

@@ -2,6 +2,8 @@
 
 from imucal.frozen import frozen
 
+#: Relative difference of two rates that does not matter: N differs by 0.25 %.
+SAME = 0.005
 #: Plausible rates of IMUs, in Hz.
 RATES = (1.0, 20_000.0)
 #: Rates of nearly all logs of MEMS IMUs, in Hz: if one of two readings of a clock gives such a rate, it is

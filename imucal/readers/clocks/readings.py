@@ -12,14 +12,12 @@ from imucal.arrays import IntArray, median
 from imucal.errors import ChoiceError
 from imucal.readers.clocks.late import late_reading
 from imucal.readers.clocks.lost import lost_reading
-from imucal.readers.clocks.period import LIKELY_RATES, RATES, Period
+from imucal.readers.clocks.period import LIKELY_RATES, RATES, SAME, Period
 from imucal.readers.clocks.runs import Runs, runs_of
 from imucal.readers.clocks.ticks import CoarseClock, coarse_clock
 from imucal.readers.clocks.wander import MAX_WANDER
 from imucal.readers.fixes import give_rates
 
-#: Relative difference of the readings that the fit of all samples corrects.
-SAME = 0.005
 #: Steps within this share of the usual one are equal to it.
 _EQUAL = 0.05
 #: Least share of such steps.

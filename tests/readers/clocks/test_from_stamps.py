@@ -339,3 +339,44 @@ def test_stamps_that_most_samples_share_give_no_clock(unit: int) -> None:
     assert (reading.clock.rate_hz, reading.clock.n, reading.order) == (100.0, 24_000, None)
     assert len(reading.clock.segments) == 1
     assert codes(reading) == ["time-unused"]
+
+
+def _on_ticks(rng: np.random.Generator, rate_hz: float, *, n: int, tick_ns: int, lost: float) -> IntArray:
+    """Return the stamps of a sensor on a clock with ticks of `tick_ns` ns; a share of the samples is lost."""
+    kept = rng.random(n) >= lost
+    kept[[0, -1]] = True
+    times = (rng.random() + np.arange(n)[kept]) * 1e9 / rate_hz
+    return START + np.floor(times / tick_ns).astype(np.int64) * tick_ns
+
+
+@pytest.mark.parametrize("rate_hz", [417.3, 833.1, 957.4])
+def test_losses_of_samples_that_share_a_tick_are_found(rate_hz: float) -> None:
+    """Of 3000 samples, 2 % are lost, so the mean rate is too low; without losses it is right."""
+    rng = np.random.default_rng([61141, round(rate_hz)])
+    for _ in range(20):
+        whole = _on_ticks(rng, rate_hz, n=3000, tick_ns=10_000_000, lost=0.0)
+        assert not [x for x in read(whole).findings if x.level == "warning"]
+        reading = read(_on_ticks(rng, rate_hz, n=3000, tick_ns=10_000_000, lost=0.02))
+        assert "uneven-stamps" in codes(reading)
+
+
+def test_random_losses_hide_the_difference_of_tick_and_period() -> None:
+    """The warning contains the largest error of the rate; many samples, or a given rate, need none."""
+    rng = np.random.default_rng(61142)
+    limits = 0
+    for rate_hz in rng.uniform(992, 1008, 30).tolist():
+        stamps = _on_ticks(rng, rate_hz, n=3000, tick_ns=1_000_000, lost=0.3)
+        reading = read(stamps)
+        found = [x.text for x in reading.findings if x.code == "uneven-stamps"]
+        off = abs(reading.clock.rate_hz / rate_hz - 1)
+        assert off < 0.015
+        if off > 0.005:
+            (text,) = found
+            for limit in re.findall(r"may be wrong by up to ([0-9.]+)%", text):
+                assert 100 * off < float(limit)
+                limits += 1
+        given = read(stamps, rate=rate_hz)
+        assert not [x for x in given.findings if "may be wrong by up to" in x.text]
+    assert limits > 2
+    many = _on_ticks(rng, 1000.0, n=60_000, tick_ns=1_000_000, lost=0.1)
+    assert "uneven-stamps" not in codes(read(many))
