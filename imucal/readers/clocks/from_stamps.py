@@ -243,7 +243,13 @@ class _Stamps:
         notes += stamp_notes(steps, stamps.size, breaks, period)
         uneven = jitter_notes(period, jitter, stamps.size)
         if not uneven and rate_hz is None:
-            uneven = tick_notes(period, stamps.size, _missing_singly(breaks))
+            uneven = tick_notes(
+                period,
+                stamps.size,
+                _missing_singly(breaks),
+                same=steps.same,
+                doubled=int(breaks.doubled.size),
+            )
         notes += uneven
         notes += jump_notes(stamps, jumps)
         measured = 1e9 / period.tau_ns

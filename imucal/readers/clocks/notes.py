@@ -10,6 +10,8 @@ from imucal.readers.clocks.wander import MAX_WANDER
 
 #: Relative difference of tick and period up to which few ticks are empty or double.
 _SAME_AS_A_TICK = 0.05
+#: Jitter of stamps that are whole ticks, in periods.
+_NO_JITTER = 1e-3
 #: Share of regular ticks that is found, in standard deviations of the mean count of a tick: the sum of 32
 #: lines exceeds the limit of `ticks` from 1.2 on.
 _HIDDEN = 1.2
@@ -96,17 +98,20 @@ def jitter_notes(period: Period, jitter_ns: float, n: int) -> list[Finding]:
     return [Finding("warning", "uneven-stamps", text, _GIVE)] if text else []
 
 
-def tick_notes(period: Period, n: int, missing: int) -> list[Finding]:
-    """Return a finding if samples are missing on a clock with ticks of a period, and few samples are known.
+def tick_notes(period: Period, n: int, missing: int, *, same: int, doubled: int) -> list[Finding]:
+    """Return a finding if samples are missing on a clock with ticks of a period, and the log is short.
 
-    A period of almost a tick leaves ticks empty, or with two samples, regularly. Random losses hide a small
-    share of these: their noise is higher than the lines of the share in the spectrum of the counts.
+    Of the `n` samples, `same` have the stamp of the previous one, and `doubled` are dropped. A period of
+    almost a tick leaves ticks empty, or with two samples, regularly. Random losses hide a small share of
+    these: their noise is higher than the lines of the share in the spectrum of the counts.
     """
-    is_tick = abs(period.resolution_ns / period.tau_ns - 1) < _SAME_AS_A_TICK
-    if not is_tick or period.tick_ns or not missing:
+    is_resolution = abs(period.resolution_ns / period.tau_ns - 1) < _SAME_AS_A_TICK
+    # Ticks such as 1/1024 s are not a whole number of ns.
+    are_whole = same > 0 and period.jitter < _NO_JITTER
+    if not (is_resolution or are_whole) or period.tick_ns or not missing:
         return []
     lost = missing / (n + missing)
-    hidden = _HIDDEN * np.sqrt(lost / (1 - lost) / (n + missing))
+    hidden = _HIDDEN * np.sqrt(lost / (1 - lost) / (n + missing)) + doubled / n
     if hidden < SAME:
         return []
     text = (

@@ -18,6 +18,8 @@ from imucal.readers.clocks.ticks import CoarseClock, coarse_clock
 from imucal.readers.clocks.wander import MAX_WANDER
 from imucal.readers.fixes import give_rates
 
+#: The same if some ticks have two samples: with the tick as the period, these would be dropped.
+_SAME_WITH_DOUBLES = 0.001
 #: Steps within this share of the usual one are equal to it.
 _EQUAL = 0.05
 #: Least share of such steps.
@@ -105,13 +107,17 @@ def _coarse_clock(late: Period, lost: Period | None, runs: Runs) -> CoarseClock 
     for unit in (quantum, usual):
         if _MIN_TICK * late.tau_ns < unit < _MAX_TICK * late.tau_ns:
             clock = coarse_clock(runs, unit)
-            if clock is not None and _differs(clock.tau_ns, clock.tick_ns) and _differs(clock.tau_ns, usual):
+            if clock is None:
+                continue
+            has_doubles = not clock.single and clock.tick_ns > clock.tau_ns
+            least = _SAME_WITH_DOUBLES if has_doubles else SAME
+            if _differs(clock.tau_ns, clock.tick_ns, least) and _differs(clock.tau_ns, usual, least):
                 return clock
     return None
 
 
-def _differs(first: float, second: float) -> bool:
-    return abs(first / second - 1) > SAME
+def _differs(first: float, second: float, least: float = SAME) -> bool:
+    return abs(first / second - 1) > least
 
 
 def _of_coarse_clock(clock: CoarseClock, late: Period, lost: Period) -> tuple[Period, list[Period]]:

@@ -48,6 +48,8 @@ _MAX_LOST = 0.5
 _MIN_DOUBLE = 0.2
 #: Largest error of the rate of a line, in cycles of the run.
 _RATE_ERROR = 0.2
+#: Least share of steps of one tick, relative to the expected one: a line that is due to jitter has fewer.
+_MIN_SINGLE = 0.5
 #: Phases of a cycle.
 _PHASES = 16
 #: Least share of samples that share a tick.
@@ -82,15 +84,24 @@ def coarse_clock(runs: Runs, unit: float) -> CoarseClock | None:
     shares = [share for part in parts if (share := _regular_share(part, tick))]
     if 2 * len(shares) <= len(parts):
         return None
-    tau = tick / (1 - median(shares))
+    share = median(shares)
+    if np.mean(whole <= 1) < _MIN_SINGLE * _single_steps(max(share, 0.0), float(whole.sum()) / whole.size):
+        return None
+    tau = tick / (1 - share)
     single = np.count_nonzero(whole < 1) <= _MIN_SHARED * whole.size
     # The rate of a line is known to a share of a cycle in a run.
-    cycle = 1 / abs(median(shares))
+    cycle = 1 / abs(share)
     regular = abs(cycle - round(cycle)) < _RATE_ERROR * cycle**2 / parts[0].size
     if single:
         between = np.concatenate([np.diff(np.flatnonzero(np.diff(part) > 1.5 * tick)) for part in runs.parts])
         regular = regular and between.size > 0 and percentile(between, 5) == percentile(between, 95)
     return CoarseClock(tau_ns=tau, tick_ns=tick, regular=bool(regular), single=bool(single))
+
+
+def _single_steps(share: float, mean_step: float) -> float:
+    """Return the expected share of steps of one tick, with a share of regularly empty ticks and losses."""
+    kept = min(1 / mean_step / (1 - share), 1.0)
+    return max(1 - share / (1 - share), 0.0) * kept
 
 
 def _regular_share(stamps: IntArray, tick: float) -> float:

@@ -380,3 +380,13 @@ def test_random_losses_hide_the_difference_of_tick_and_period() -> None:
     assert limits > 2
     many = _on_ticks(rng, 1000.0, n=60_000, tick_ns=1_000_000, lost=0.1)
     assert "uneven-stamps" not in codes(read(many))
+
+
+def test_jitter_on_a_tick_of_half_a_period_is_not_half_of_the_samples() -> None:
+    """Of 3000 samples, 0.1 % are lost; a weak line due to jitter would give twice the rate."""
+    rng = np.random.default_rng(61143)
+    for _ in range(40):
+        tau = 1e9 / rng.uniform(204, 210)
+        times = np.cumsum(np.where(rng.random(3000) < 0.001, 2, 1)) * tau + rng.normal(0, 0.1 * tau, 3000)
+        reading = read(START + np.floor(times / 2_500_000).astype(np.int64) * 2_500_000)
+        assert reading.clock.rate_hz == pytest.approx(1e9 / tau, rel=0.005)
