@@ -36,6 +36,12 @@ _MAX_ZEROS = 0.01
 #: Share of samples without a time stamp of their own above which the stamps give no clock: a rate would be by
 #: chance.
 _MAX_SHARED = 0.5
+#: Latest time in ns, in 2116: the difference of two times has 64 bits.
+_LATEST = 2**62 - 1
+#: Shortest sampling period in ns: half of the unit of the stamps.
+_SHORTEST_PERIOD = 0.5
+#: Longest sampling period in ns, 11 days: stamps that are further apart are no clock of an IMU.
+_LONGEST_PERIOD = 10**15
 #: Units of float32 time columns, in ns: s, ms, us, ns.
 _FLOAT_UNITS_NS = (10**9, 10**6, 10**3, 1)
 #: Samples at which the wander of stamps is examined.
@@ -152,6 +158,7 @@ class _Stamps:
             text = f"{twice} of {self.stamps.size} samples repeat the previous time stamp and values"
             self.notes.append(Finding("warning", "duplicate-stamps", f"{text}; they are dropped."))
             self._keep(np.flatnonzero(~repeated))
+        self._replace_impossible()
         self._replace_zeros()
         self._keep_one_rate(rate_hz)
         period = estimate_period(self.stamps, rate_hz)
@@ -165,9 +172,12 @@ class _Stamps:
         elif rate_hz is not None:
             clock = Clock.even(n, float(rate_hz))
         else:
-            less = "one sample" if n == 1 else f"{n} samples whose time stamps do not increase"
-            raise DataError(f"{less} ({self.source}); expected increasing time stamps", fix=GIVE_RATE)
+            raise self._not_increasing(n)
         return ClockReading(clock=clock, order=self.order, findings=tuple(self.notes))
+
+    def _not_increasing(self, n: int) -> DataError:
+        less = "one sample" if n == 1 else f"{n} samples whose time stamps do not increase"
+        return DataError(f"{less} ({self.source}); expected increasing time stamps", fix=GIVE_RATE)
 
     def _keep(self, places: IntArray) -> None:
         """Keep samples and their stamps."""
@@ -204,6 +214,17 @@ class _Stamps:
             self.notes.append(Finding("warning", "rate-changes", text, advice))
             self._keep(np.arange(first, last))
 
+    def _replace_impossible(self) -> None:
+        """Replace stamps that are no times by zeros, so that the difference of two stamps has 64 bits."""
+        impossible = (self.stamps < -_LATEST) | (self.stamps > _LATEST)
+        if impossible.any():
+            self.stamps = np.where(impossible, 0, self.stamps)
+            text = (
+                f"{np.count_nonzero(impossible)} of {self.stamps.size} time stamps ({self.source}) are more "
+                "than 146 years from 1970; they are taken as zero."
+            )
+            self.notes.append(Finding("warning", "zero-stamps", text))
+
     def _replace_zeros(self) -> None:
         """Use log time if stamps are constant or often zero; interpolate a few zeros."""
         stamps, n = self.stamps, self.stamps.size
@@ -229,6 +250,11 @@ class _Stamps:
     def _clock(self, period: Period, rate_hz: float | None) -> Clock:
         """Place the samples on an even grid, in two passes: the first refines the period."""
         stamps, notes = self.stamps, self.notes
+        if not _SHORTEST_PERIOD <= period.tau_ns <= _LONGEST_PERIOD:
+            apart = f"{period.tau_ns / 1e9:.3g} s apart"
+            raise DataError(
+                f"the time stamps ({self.source}) are {apart}; expected an IMU's clock, check its unit"
+            )
         steps = step_statistics(stamps, period.tau_ns)
         resets = steps.resets
         if resets.size > max(1000, stamps.size // _RESETS):
@@ -236,6 +262,8 @@ class _Stamps:
             raise DataError(f"the time stamps ({self.source}) go back {times}; expected a clock")
         stamps = evened(stamps, period)
         period, breaks, jitter = self._fitted(stamps, period, steps, rate_hz)
+        if not period.tau_ns > 0:
+            raise self._not_increasing(stamps.size)
         if breaks.doubled.size > _MAX_SHARED * stamps.size:
             return self._clock_of_rate(rate_hz)
         log_ns = self.log_ns if self.source != LOG_TIME else None

@@ -57,7 +57,7 @@ def lost_reading(runs: Runs) -> Period | None:
     positive = runs.steps[runs.steps > 0].astype(np.float64)
     unit = _usual_step(positive)
     near = positive[np.abs(positive / unit - 1) <= _NEAR]
-    jitter = float(near.std() / unit / np.sqrt(2))
+    jitter = float(near.std() / unit / np.sqrt(2)) if near.size else np.inf
     found = Period(tau_ns=unit, jitter=jitter, error=max(_MIN_ERROR, jitter / 10))
     if unit > runs.mean_ns:
         return found if jitter < _MAX_JITTER else None
@@ -105,6 +105,8 @@ def _usual_step(positive: FloatArray) -> float:
     for _ in range(50):
         first = np.searchsorted(some, (1 - _NEAR) * unit)
         last = np.searchsorted(some, (1 + _NEAR) * unit, side="right")
+        if first == last:
+            break
         moved = float(sums[last] - sums[first]) / int(last - first)
         change = abs(moved / unit - 1)
         unit = moved

@@ -55,9 +55,11 @@ def _mean_step(parts: list[IntArray]) -> float:
     means = []
     for part in parts:
         steps = np.diff(part)
-        longest = np.sort(np.abs(steps))[::-1]
+        # Stamps of a damaged log may be so large that a multiple of a step is no integer of 64 bits.
+        lengths = np.abs(steps.astype(np.float64))
+        longest = np.sort(lengths)[::-1]
         if steps.size > 2 * _FEW_GAPS and longest[0] > _GAP_RATIO * longest[_FEW_GAPS]:
-            steps = steps[np.abs(steps) <= _GAP_RATIO * longest[_FEW_GAPS]]
+            steps = steps[lengths <= _GAP_RATIO * longest[_FEW_GAPS]]
         ends = np.concatenate([[0], np.cumsum(steps)])
         width = max(min(_WINDOW, steps.size // 8), min(16, steps.size))
         means.append((ends[width:] - ends[:-width]) / width)

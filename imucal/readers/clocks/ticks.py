@@ -156,6 +156,8 @@ def _rate_of_many_lines(power: FloatArray, n: int, mean: float) -> float:
     All multiples of the rate have lines of the same height. The sum of the power at K frequencies, in units
     of the noise, has a gamma distribution of shape K.
     """
+    if power.size < _BANDS:
+        return 0.0
     # Losses in runs have more power at low frequencies; the median of exponential power is ln 2 of its mean.
     bands = np.array_split(power, _BANDS)
     noise = np.concatenate([np.full(band.size, median(band) / np.log(2)) for band in bands])
