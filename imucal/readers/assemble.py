@@ -35,8 +35,9 @@ DAMAGE = frozenset(
 _USUAL_RATE_HZ = 100.0
 #: Allowed distance from the usual rates of IMUs, relative.
 _NEAR_RATES = 0.02
-#: Lowest and highest operating temperature of electronics, in degrees Celsius; other values are raw counts.
+#: Lowest operating temperature of electronics, in degrees Celsius; lower values are raw counts.
 _COLDEST = -80.0
+#: Highest operating temperature of electronics, in degrees Celsius; higher values are raw counts.
 _HOTTEST = 200.0
 #: The median of temperatures is taken of at least this many values.
 _LOOKED_AT = 1_000_000

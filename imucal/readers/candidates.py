@@ -26,6 +26,7 @@ from imucal.recording import Sensor
 _CLOCKS = (None, "header", "log")
 #: Packages of general vectors, read only if the user names the topic.
 _GENERAL = ("geometry_msgs/", "nav_msgs/")
+#: Names of commanded values, which are no measurements.
 _COMMAND = re.compile(r"(^|[/_])(cmd|command|setpoint|desired|target)s?([/_]|$)")
 
 

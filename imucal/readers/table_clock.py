@@ -12,12 +12,11 @@ from imucal.readers.files import refused
 from imucal.readers.fixes import GIVE_RATE, NAME_TIME, TIME_UNIT
 from imucal.readers.repeated_rows import sent_twice
 from imucal.readers.sensor_rows import SensorRows
-from imucal.readers.table_stamps import stamps_of
+from imucal.readers.table_stamps import SECOND, stamps_of
 from imucal.readers.tables.stamps import unwrapped
 from imucal.readers.work import Work
 from imucal.units import LONG_TIME_UNITS_NS, TIME_UNITS_NS, time_unit_ns
 
-_SECOND = 10**9
 #: Least share of steps of one for a counter to count samples.
 _MIN_SINGLE_STEPS = 0.9
 
@@ -91,9 +90,9 @@ def _counted_clock(work: Work, columns: SensorRows) -> ClockReading:
         more = f"Counter {plan.time.name} does not count samples, so it can't show gaps"
         work.findings.append(Finding("info", "counter-unused", f"{more}; only the rate is used."))
         return even
-    since_first = (counts - counts[0]) * (_SECOND / rate)
+    since_first = (counts - counts[0]) * (SECOND / rate)
     reading = clock_from_stamps(
-        _SECOND + np.round(since_first).astype(np.int64),
+        SECOND + np.round(since_first).astype(np.int64),
         source=f"counter {plan.time.name} at the {source}",
         rate_hz=rate,
     )

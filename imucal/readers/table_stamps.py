@@ -29,8 +29,8 @@ from imucal.units import TIME_UNITS_NS, time_unit_name, time_unit_ns
 #: Largest relative difference between the given rate and the rate in a time unit.
 _RATE_TOLERANCE = 0.1
 
-_SECOND = 10**9
-
+#: A second in ns, the unit of stamps.
+SECOND = 10**9
 #: Above any sensor's rate.
 _MAX_RATE_HZ = 1e6
 #: About 30 years, within 64 bits.
@@ -87,7 +87,7 @@ def _ns_per_count(work: Work, place: str, time: TimeChoice, values: Numbers, sen
         raise _open_unit(place, time, values, fits, sensor)
     if values.dtype.kind == "i" and abs(step - 1) < 1e-3:
         work.decide("time unit", f"{time.name} counts samples at the given rate")
-        return max(1, round(_SECOND / rate))
+        return max(1, round(SECOND / rate))
     found = f"Column {time.name} increases by {step:g} per row, which is not {rate:g} Hz in any unit"
     text = f"{found}; it is ignored, so gaps are not found."
     work.findings.append(Finding("warning", "time-unused", text))

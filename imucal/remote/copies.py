@@ -30,9 +30,11 @@ _DEFAULT_SIZE = 10 << 30
 _MARGIN = 1 << 24
 #: Other folders in the cache do not belong to imucal and are never removed.
 _COPY = re.compile(r"[0-9a-f]{32}")
+#: Name of a part: its copy, and the process that fetches it.
 _PART = re.compile(r"[0-9a-f]{32}\.[0-9a-f]{32}\.part")
 #: Age in s from which a part belongs to a process that was killed.
 _ABANDONED_S = 86_400.0
+#: What to do if the disk of the cache is full.
 _OTHER_DISK = f"free some space, or set {FOLDER} to a folder on another disk"
 
 #: Called with the bytes done and the total (0 if unknown).

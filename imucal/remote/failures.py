@@ -9,7 +9,9 @@ from imucal.remote.addresses import PACKAGES, WEB, refused, scheme_of, shown, wi
 
 #: HTTP codes of temporary failures.
 _PASSING = frozenset({408, 425, 429, 500, 502, 503, 504})
+#: HTTP codes of logs that do not exist.
 _MISSING = frozenset({404, 410})
+#: HTTP codes of missing or wrong credentials.
 _DENIED = frozenset({401, 403, 407})
 #: Kind of an error -> its HTTP code, which only web servers report.
 _CODES = {"missing": 404, "denied": 403}

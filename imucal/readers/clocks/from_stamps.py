@@ -54,6 +54,7 @@ _DAY = 86_400 * 10**9
 _RESETS = 20
 #: Resolution of stamps, in periods, above which a contradicted rate may be any.
 _COARSE = 0.3
+#: Most samples whose repeated values, or delays, are examined: more do not change the decision.
 _MAX_EXAMINED = 100_000
 #: Shortest log for a comparison of clocks.
 _MIN_DURATION_S = 60.0

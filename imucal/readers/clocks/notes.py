@@ -15,6 +15,7 @@ _NO_JITTER = 1e-3
 #: Share of regular ticks that is found, in standard deviations of the mean count of a tick: the sum of 32
 #: lines exceeds the limit of `ticks` from 1.2 on.
 _HIDDEN = 1.2
+#: Advice if the rate is uncertain.
 _GIVE = "Log the samples as the sensor delivers them, or give the sampling rate."
 
 

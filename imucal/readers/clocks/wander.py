@@ -10,8 +10,11 @@ from imucal.arrays import FloatArray, percentile
 MAX_WANDER = 0.003
 #: Spans of lateness that fit into the stamps.
 _SPANS = 20
-#: Percentiles of normal spans that are 2.07 standard deviations apart; a few gaps do not change them.
-_LOW, _HIGH = 15, 85
+#: Lower of two percentiles, in percent, whose distance is the width of spans: a few gaps do not change it.
+_LOW = 15
+#: Upper percentile, in percent, as far from the median.
+_HIGH = 85
+#: Distance of these percentiles of normal spans, in standard deviations.
 _DEVIATIONS = 2.07
 #: Ratio of the variances of long and short spans below which the growth is chance.
 _MIN_GROWTH = 2.0

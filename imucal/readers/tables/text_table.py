@@ -50,7 +50,9 @@ _MAX_REPEATED_TEXT = 32 << 20
 _SHOWN = 60
 #: Code of the error for a file without samples.
 ONLY_TIMES = "only-times"
+#: First bytes of a zip file.
 _ZIP = b"PK\x03\x04"
+#: Extensions of text tables in a zip or folder.
 _SUFFIXES = (".csv", ".tsv", ".txt")
 #: Most text tables of a zip or folder: an app writes one per sensor; reading the head of one takes 1 ms.
 _MAX_TABLES = 1000
