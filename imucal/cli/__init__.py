@@ -10,10 +10,10 @@ import os
 import platform
 import shlex
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal, NoReturn, TextIO, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, TextIO, TypeAlias
 
 import click
 from click.shell_completion import CompletionItem
@@ -23,6 +23,9 @@ from imucal.cli._fixes import fields_of, message_of
 from imucal.errors import EXIT_CODES, DataError, ImucalError, WriteError
 from imucal.printable import printable, printable_json
 from imucal.resources import single_matrix_thread
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
 
 __all__ = ["COMMANDS", "main"]
 
@@ -48,19 +51,6 @@ def _kind_of_result(path: Path) -> ResultKind | None:
     return by_name.get(path.name, "file" if path.suffix.lower() in _NO_LOGS else None)
 
 
-class ClosedPipeError(Exception):
-    """The reader of an output of the program is gone, as in `imucal adev LOG | head`."""
-
-
-@contextmanager
-def _named_closed_pipe() -> Iterator[None]:
-    """Turn BrokenPipeError into an error for which click does not end the process with code 1."""
-    try:
-        yield
-    except BrokenPipeError as error:
-        raise ClosedPipeError from error
-
-
 class LazyGroup(click.Group):
     """A group that imports a command when it is called.
 
@@ -79,14 +69,6 @@ class LazyGroup(click.Group):
     ) -> None:
         super().__init__(**attributes)
         self.table, self._of_a_log, self._of_a_result = table, of_a_log, of_a_result
-
-    def make_context(self, *arguments: Any, **more: Any) -> click.Context:  # noqa: ANN401 - click's signature
-        with _named_closed_pipe():
-            return super().make_context(*arguments, **more)
-
-    def invoke(self, ctx: click.Context) -> Any:  # noqa: ANN401 - click's signature
-        with _named_closed_pipe():
-            return super().invoke(ctx)
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
         return list(self.table)
@@ -209,18 +191,50 @@ def _fill_streams() -> None:
         if getattr(sys, name) is None:
             # Keep them open: files opened later would otherwise get the standard descriptors.
             setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115
+    # A run of hours must not end because nobody reads its output.
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is getattr(sys, f"__{name}__") and isinstance(stream, io.TextIOWrapper):
+            setattr(sys, name, _until_unread(stream))
+
+
+class _UntilUnread(io.FileIO):
+    """A stream that discards what is written after its reader has gone."""
+
+    is_unread = False
+
+    def write(self, data: "ReadableBuffer") -> int:
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            self.is_unread = True
+            _to_null(self.fileno())
+            return memoryview(data).nbytes
+
+
+def _until_unread(stream: io.TextIOWrapper) -> io.TextIOWrapper:
+    """Return a standard stream whose reader may go."""
+    raw = _UntilUnread(stream.fileno(), "w", closefd=False)
+    return io.TextIOWrapper(
+        io.BufferedWriter(raw),
+        encoding=stream.encoding,
+        errors=stream.errors,
+        line_buffering=stream.line_buffering,
+    )
+
+
+def _is_unread(stream: TextIO) -> bool:
+    """Return whether the reader of a stream has gone."""
+    raw = getattr(getattr(stream, "buffer", None), "raw", None)
+    return isinstance(raw, _UntilUnread) and raw.is_unread
 
 
 def _run(arguments: Sequence[str] | None) -> int:
-    """Run a command and return its exit code, also if the reader of its output or of its errors is gone."""
-    try:
-        code = _outcome(arguments)
-        sys.stdout.flush()
-        sys.stderr.flush()
-    except (BrokenPipeError, ClosedPipeError):
-        _drop(sys.stdout, sys.stderr)
-        return 141
-    return code
+    """Run a command and return its exit code, also if the reader of its output is gone."""
+    code = _outcome(arguments)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    return 141 if _is_unread(sys.stdout) else code
 
 
 def _outcome(arguments: Sequence[str] | None) -> int:
@@ -236,8 +250,6 @@ def _outcome(arguments: Sequence[str] | None) -> int:
             obj=typed,
         )
         sys.stdout.flush()
-    except (BrokenPipeError, ClosedPipeError):
-        raise
     except OSError as error:
         if error.errno == errno.ENAMETOOLONG and not os.environ.get("IMUCAL_DEBUG"):
             name = str(error.filename or "")
@@ -257,14 +269,19 @@ def _outcome(arguments: Sequence[str] | None) -> int:
     return code if isinstance(code, int) else 0
 
 
-def _drop(*streams: TextIO) -> None:
-    """Discard the buffered output of streams, so that Python prints no error at its exit."""
+def _drop(stream: TextIO) -> None:
+    """Discard the buffered output of a stream, so that Python prints no error at its exit."""
+    with suppress(OSError, ValueError):
+        stream.flush()
+    with suppress(OSError, ValueError):
+        _to_null(stream.fileno())
+
+
+def _to_null(descriptor: int) -> None:
+    """Redirect a file descriptor to the null device."""
     device = os.open(os.devnull, os.O_WRONLY)
-    for stream in streams:
-        with suppress(OSError, ValueError):
-            stream.flush()
-        with suppress(OSError, ValueError):
-            os.dup2(device, stream.fileno())
+    os.dup2(device, descriptor)
+    os.close(device)
 
 
 def _explain(error: BaseException, *, as_json: bool = False) -> int:
@@ -299,7 +316,11 @@ def _explain(error: BaseException, *, as_json: bool = False) -> int:
                 "exit_code": code,
             },
         }
-        click.echo(printable_json(json.dumps(document, indent=2)))
+        try:
+            click.echo(printable_json(json.dumps(document, indent=2)))
+        except OSError:
+            # The message is on standard error.
+            _drop(sys.stdout)
     return code
 
 

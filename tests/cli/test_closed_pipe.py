@@ -51,9 +51,18 @@ def test_a_closed_pipe_ends_a_command_with_141(tmp_path: Path, *, command: str, 
     assert "Exception ignored" not in errors
 
 
-@pytest.mark.parametrize("command", ["fit nosuch.csv", "nosuch", "export --nosuch"])
-def test_an_error_whose_reader_is_gone_ends_with_141(tmp_path: Path, command: str) -> None:
-    assert codes_and_errors(*command.split(), cwd=tmp_path, both=True) == (141, "")
+@pytest.mark.parametrize(("command", "code"), [("fit nosuch.csv", 3), ("nosuch", 2), ("export --nosuch", 2)])
+def test_an_error_whose_reader_is_gone_has_its_own_code(tmp_path: Path, command: str, code: int) -> None:
+    assert codes_and_errors(*command.split(), cwd=tmp_path, both=True) == (code, "")
+
+
+def test_messages_without_a_reader_cost_no_result(tmp_path: Path) -> None:
+    """All results are written, although the reader of both streams has gone before the first message."""
+    code, errors = codes_and_errors("fit", LOG, "-o", "report", "--take", "1min", cwd=tmp_path, both=True)
+    assert (code, errors) == (141, "")
+    assert (tmp_path / "report" / "report.json").is_file()
+    code, errors = codes_and_errors("info", LOG, cwd=tmp_path, both=False)
+    assert (code, errors) == (141, "")
 
 
 @pytest.mark.usefixtures("pictures_are_blank")
@@ -107,3 +116,19 @@ def test_an_address_with_open_brackets_is_refused(tmp_path: Path, command: str) 
     assert result.returncode == 3
     assert "http://[::1/x.csv: not a valid web address (Invalid IPv6 URL)" in result.stderr
     assert "secret" not in result.stderr
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a device that is always full")  # noqa: PTH110
+@pytest.mark.parametrize(("command", "code"), [("fit nosuch.csv --json", 3), ("info LOG", 5)])
+def test_a_full_disk_has_a_message_and_no_traceback(command: str, code: int) -> None:
+    """The error of the log counts if there is one, otherwise that of the output."""
+    with open("/dev/full", "w", encoding="utf-8") as full:  # noqa: PTH123 - a device
+        done = subprocess.run(  # noqa: S603 - our own command
+            [sys.executable, "-m", "imucal", *command.replace("LOG", LOG).split()],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            encoding="utf-8",
+            check=False,
+        )
+    assert (done.returncode, "Traceback" in done.stderr) == (code, False), done.stderr
+    assert done.stderr.startswith("Error: ")
