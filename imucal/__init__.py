@@ -30,17 +30,12 @@ if TYPE_CHECKING:
     from imucal.findings import Finding
     from imucal.fitting.decomposition import Decomposition, decompose
     from imucal.fitting.noise_fit import NoiseFit
-    from imucal.fleet import LogValue, PooledFit, Population, log_values, pool, population
-    from imucal.fleet_report import (
-        Fleet,
-        FleetTerm,
-        SensorModel,
-        check_fleet,
-        fleet_as_report,
-        load_fleet,
-        write_fleet,
-    )
-    from imucal.fleet_run import run_fleet
+    from imucal.fleet.as_report import check_fleet, fleet_as_report
+    from imucal.fleet.files import write_fleet
+    from imucal.fleet.population import Population, population
+    from imucal.fleet.running import run_fleet
+    from imucal.fleet.summary import Fleet, FleetTerm, SensorModel, load_fleet
+    from imucal.fleet.values import LogValue, log_values
     from imucal.grading import NoiseVerdict
     from imucal.noise import NoiseModel
     from imucal.noise.integrals import avar_from_acvf, avar_from_psd
@@ -57,12 +52,12 @@ if TYPE_CHECKING:
 __all__ = [
     "AllanCurve", "AxisReport", "AxisSeries", "Calibration", "ChoiceError", "Clock", "DataError",
     "Decomposition", "Drift", "FilterNumbers", "Finding", "Fleet", "FleetTerm", "ImucalError",
-    "LogValue", "NoiseFit", "NoiseModel", "NoiseVerdict", "PooledFit", "Population", "ReadError",
+    "LogValue", "NoiseFit", "NoiseModel", "NoiseVerdict", "Population", "ReadError",
     "Recording", "Report", "Sensor", "SensorModel", "Settings", "Spectrum", "WriteError", "__version__",
     "allan_curve", "at_rest", "avar_from_acvf", "avar_from_psd", "calibrate", "characterize", "check",
     "check_fleet", "compare", "decompose", "drift", "export", "filter_numbers", "fit",
     "fleet_as_report", "info", "load_fleet", "load_report", "log_values", "model_as_report", "plan",
-    "plot", "pool", "population", "read", "run_fleet", "screen", "simulate", "spectrum", "write_fleet",
+    "plot", "population", "read", "run_fleet", "screen", "simulate", "spectrum", "write_fleet",
     "write_report",
 ]  # fmt: skip
 
@@ -76,9 +71,12 @@ _HOMES = {
     "facade": "check export fit info simulate",
     "fitting": "NoiseFit",
     "fitting.decomposition": "Decomposition decompose",
-    "fleet": "LogValue PooledFit Population log_values pool population",
-    "fleet_report": "Fleet FleetTerm SensorModel check_fleet fleet_as_report load_fleet write_fleet",
-    "fleet_run": "run_fleet",
+    "fleet.as_report": "check_fleet fleet_as_report",
+    "fleet.files": "write_fleet",
+    "fleet.population": "Population population",
+    "fleet.running": "run_fleet",
+    "fleet.summary": "Fleet FleetTerm SensorModel load_fleet",
+    "fleet.values": "LogValue log_values",
     "grading": "NoiseVerdict",
     "noise": "NoiseModel",
     "noise.integrals": "avar_from_acvf avar_from_psd",

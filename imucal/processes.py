@@ -10,6 +10,7 @@ Side work only judges or draws a result: if it fails, a finding reports the fail
 
 import ctypes
 import gc
+import importlib
 import io
 import itertools
 import multiprocessing
@@ -45,7 +46,9 @@ Outcome: TypeAlias = Literal["done", "failed", "no-memory", "late", "ended"]
 Counted: TypeAlias = Literal["addresses", "data"]
 
 _LENGTH = struct.Struct("<Q")
-_START = "import sys; sys.path[:] = {path!r}; from imucal.processes import serve; serve()"
+_START = "import sys; sys.path[:] = {path!r}; from imucal.processes import serve; serve(*{preloaded!r})"
+#: Argument of prctl: the signal that a process gets when its parent ends.
+_PARENT_DEATH_SIGNAL = 1
 #: Seconds between checks that the parent is alive.
 _LOOK_S = 1.0
 #: Bytes of a child's standard error that are kept.
@@ -88,7 +91,9 @@ class ChildProcess:
     """A process that answers one question at a time.
 
     `environment` adds variables to the environment of this process; None removes one. `counted` is the kind
-    of memory that is limited. The child works in `folder`, or in the current folder if None.
+    of memory that is limited. The child works in `folder`, or in the current folder if None. If modules are
+    `preloaded`, the child imports them once and answers each question in a process that it forks, where the
+    system can fork safely.
     """
 
     def __init__(
@@ -97,8 +102,10 @@ class ChildProcess:
         environment: Mapping[str, str | None] | None = None,
         counted: Counted = "addresses",
         folder: str | None = None,
+        preloaded: Sequence[str] = (),
     ) -> None:
         self._environment, self._counted, self._folder = environment or {}, counted, folder
+        self._preloaded = tuple(preloaded)
         self._process: subprocess.Popen[bytes] | None = None
         self._errors: IO[bytes] | None = None
         self._lock = threading.Lock()
@@ -147,7 +154,7 @@ class ChildProcess:
             self.end()
             self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
             self._process = subprocess.Popen(  # noqa: S603 - this very interpreter
-                [sys.executable, "-c", _START.format(path=own_path())],
+                [sys.executable, "-c", _START.format(path=own_path(), preloaded=self._preloaded)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._errors,
@@ -211,24 +218,63 @@ def _is_private(folder: Path) -> bool:
     return not infos[0].st_mode & stat.S_IWOTH
 
 
-def serve() -> None:
+def serve(*preloaded: str) -> None:
     """Answer questions on standard input until it ends; runs in the child."""
     # The parent kills the child after an interrupt.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=leave_with, args=(os.getppid(),), daemon=True).start()
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    for module in preloaded:
+        importlib.import_module(module)
+    answered = _answered_in_fork if preloaded and sys.platform.startswith("linux") else _answered
     while (question := _receive(sys.stdin.buffer)) is not None:
+        _send(answers, answered(question))
+
+
+def _answered(question: bytes) -> bytes:
+    """Return the pickled answer to a pickled question."""
+    try:
+        counted, memory, function, args = pickle.loads(question)  # noqa: S301 - from this package's own process
+        _limit_memory(counted, memory)
+        return pickle.dumps(Answer(outcome="done", value=function(*args)), protocol=5)
+    except MemoryError:
+        return pickle.dumps(Answer(outcome="no-memory"))
+    except BaseException as error:  # noqa: BLE001 - panics of Rust are no Exceptions
+        text = " ".join(str(error).split())[:300]
+        return pickle.dumps(Answer(outcome="failed", words=f"{type(error).__name__}: {text}"))
+
+
+def _answered_in_fork(question: bytes) -> bytes:
+    """Return the pickled answer of a forked process: a crash or leaked memory costs this question only."""
+    reader, writer = os.pipe()
+    server = os.getpid()
+    with warnings.catch_warnings():
+        # The other thread only sleeps.
+        warnings.filterwarnings("ignore", _FORK_WARNING, DeprecationWarning)
+        process = os.fork()
+    if not process:
+        _end_with_parent(server)
         try:
-            counted, memory, function, args = pickle.loads(question)  # noqa: S301 - from this package's own process
-            _limit_memory(counted, memory)
-            answer = pickle.dumps(Answer(outcome="done", value=function(*args)), protocol=5)
-        except MemoryError:
-            answer = pickle.dumps(Answer(outcome="no-memory"))
-        except BaseException as error:  # noqa: BLE001 - panics of Rust are no Exceptions
-            text = " ".join(str(error).split())[:300]
-            answer = pickle.dumps(Answer(outcome="failed", words=f"{type(error).__name__}: {text}"))
-        _send(answers, answer)
+            with os.fdopen(writer, "wb") as stream:
+                stream.write(_answered(question))
+            os._exit(0)
+        finally:
+            os._exit(1)
+    os.close(writer)
+    with os.fdopen(reader, "rb") as stream:
+        answer = stream.read()
+    _, status = os.waitpid(process, 0)
+    code = os.waitstatus_to_exitcode(status)
+    return answer if code == 0 else pickle.dumps(Answer(outcome="ended", code=code))
+
+
+def _end_with_parent(parent: int) -> None:
+    """Let the system kill this process when its parent ends, also in a call that never returns."""
+    with suppress(AttributeError, OSError):
+        ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)
 
 
 def leave_with(parent: int) -> None:

@@ -59,7 +59,7 @@ def forks(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def logs_are_done_here() -> Iterator[None]:
     """Process the logs of fleets in this process; tests of faults use their own processes."""
-    from tests.fleet_run.done_here import logs_done_here
+    from tests.fleet.done_here import logs_done_here
 
     with logs_done_here():
         yield

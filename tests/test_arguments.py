@@ -43,7 +43,6 @@ WRONG: list[tuple[Callable[[], object], str]] = [
     (lambda: imucal.at_rest("log.mcap"), 'imucal.at_rest(imucal.read("drive.mcap"))'),  # type: ignore[arg-type]
     (lambda: imucal.load_report(3), "load_report: path is an int, expected a str or a Path"),  # type: ignore[arg-type]
     (lambda: imucal.write_report(RECORDING, "out"), "write_report: report is a Recording"),  # type: ignore[arg-type]
-    (lambda: imucal.pool(RECORDING), "pool: fits is a Recording"),  # type: ignore[arg-type]
     (lambda: imucal.read("log.mcap", tpic="/imu"), "read: got an unexpected keyword argument 'tpic'"),  # type: ignore[call-arg]
     (imucal.read, "no log: name at least one file"),
     (lambda: imucal.run_fleet(3), "run_fleet: logs is an int"),  # type: ignore[arg-type]

@@ -48,14 +48,10 @@ BELOW["planning"] = BASE | {"allan", "noise", "fitting", "prediction", "report"}
 BELOW["comparison"] = BELOW["planning"]
 BELOW["calibration"] = BELOW["planning"] | {"screening"}
 BELOW["checking"] = BELOW["planning"] | {"comparison", "calibration"}
-BELOW["fleet"] = BELOW["planning"]
 BELOW["advice"] = BASE | {"screening", "rests", "report"}
 BELOW["pipeline"] = BELOW["planning"] | {"screening", "planning", "advice"}
-BELOW["fleet_report"] = BELOW["fleet"] | {"comparison", "fleet", "checking"}
-BELOW["fleet_run"] = (
-    BELOW["pipeline"] | BELOW["fleet_report"] | {"fleet_report", "pipeline", "readers", "remote"}
-)
-BELOW["facade"] = BELOW["fleet_run"] | {"calibration", "checking", "simulation"}
+BELOW["fleet"] = BELOW["pipeline"] | {"pipeline", "checking", "readers", "remote"}
+BELOW["facade"] = BELOW["fleet"] | {"calibration", "checking", "fleet", "simulation"}
 BELOW["cli"] = set(BELOW) | {"cli"}
 BELOW["__main__"] = {"cli"}
 

@@ -20,7 +20,7 @@ from nbclient import NotebookClient
 import imucal
 from imucal.display import Displayed
 from imucal.report.view import views
-from tests.fleet_report.simulated_store import write_store
+from tests.fleet.simulated_store import write_store
 from tests.report.synthetic import consumer_report
 
 ROOT = Path(__file__).parents[1]
@@ -90,9 +90,9 @@ def test_values_are_displayed_in_twelve_lines(name: str) -> None:
 def test_a_fleet_is_displayed(tmp_path: Path) -> None:
     """The text has a line per sensor model, the table equals the page, the frame has all terms and axes."""
     write_store(tmp_path / "fleet", units=4, weak="", failures=False, names=("gyro_x",))
-    fleet = imucal.load_fleet(tmp_path / "fleet", unit_logs=False)
+    fleet = imucal.load_fleet(tmp_path / "fleet")
     assert 2 <= len(repr(fleet).splitlines()) <= 12
-    assert html.fromstring(fleet._repr_html_()).xpath(".//table[@class='summary config']")
+    assert html.fromstring(fleet._repr_html_()).cssselect("table.limits")
     assert fleet.to_frame().height == sum(len(model.terms) for model in fleet.models)
 
 

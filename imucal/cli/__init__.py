@@ -37,7 +37,7 @@ _RESULTS: tuple[tuple[str, ResultKind], ...] = (
     ("report.json", "report"),
     ("calibration.json", "calibration"),
     ("fleet.json", "fleet"),
-    ("manifest.parquet", "fleet"),
+    ("run-*.fleet", "fleet"),
 )
 #: Suffixes of files that imucal writes and that are not logs.
 _NO_LOGS = frozenset({".yaml", ".yml", ".toml", ".html", ".png", ".md", ".pdf", ".svg"})
@@ -46,7 +46,7 @@ _NO_LOGS = frozenset({".yaml", ".yml", ".toml", ".html", ".png", ".md", ".pdf", 
 def _kind_of_result(path: Path) -> ResultKind | None:
     """Return what imucal wrote at a path, or None."""
     if path.is_dir():
-        return next((kind for name, kind in _RESULTS if (path / name).is_file()), None)
+        return next((kind for name, kind in _RESULTS if any(path.glob(name))), None)
     by_name = {name: kind for name, kind in _RESULTS if name.endswith(".json")}
     return by_name.get(path.name, "file" if path.suffix.lower() in _NO_LOGS else None)
 

@@ -2,7 +2,8 @@
 
 import re
 import sys
-from collections.abc import Sized
+from collections.abc import Sequence, Sized
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,14 +17,12 @@ from imucal.units import data_size, duration
 from imucal.user_input import seconds_of
 
 if TYPE_CHECKING:
-    import polars as pl
-
     from imucal.findings import Finding
-    from imucal.fleet.store import FleetStore
-    from imucal.fleet_report import Fleet
-    from imucal.fleet_report.answers import Ask
-    from imucal.fleet_run import FleetPlan
+    from imucal.fleet.plan import FleetPlan
+    from imucal.fleet.store import LogRow
+    from imucal.fleet.summary import Fleet
 
+#: Failures of each kind that are listed.
 _NAMED = 3
 
 
@@ -40,7 +39,7 @@ def print_plan(plan: "FleetPlan", workers: int) -> None:
     echo(f"{number_of(tasks, 'log')}, {size}, about {about} on {number_of(workers, 'worker')}", err=True)
 
 
-def print_summary(plan: "FleetPlan", store: "FleetStore") -> None:
+def print_summary(plan: "FleetPlan") -> None:
     """Print the number of logs to do, the duplicates, and advice if no log has a unit label."""
     copies = [log for log in plan.own() if log.copy_of]
     done, again = plan.own("done"), plan.own("again")
@@ -54,40 +53,37 @@ def print_summary(plan: "FleetPlan", store: "FleetStore") -> None:
     for log in copies:
         print_note(f"  {log.path}: same content as {log.copy_of}")
     # A run without labels keeps those in the store.
-    if not any(log.labels.get("unit") for log in plan.logs) and not store.logs()["unit"].count():
+    stored = plan.stored.logs() if plan.stored else []
+    if not any(log.labels.get("unit") for log in plan.logs) and not any(row["unit"] for row in stored):
         example = "label the units with --labels '{model}/{unit}/*.mcap'"
         print_note(f"No log has the label unit, so logs are not grouped; {example}")
 
 
-def conclude(plan: "FleetPlan", out: Path, *, ask: "Ask", max_failed: float) -> None:
+def conclude(plan: "FleetPlan", out: Path, *, max_failed: float) -> None:
     """Print the results of the logs of this run; exit with code 3 if none is readable, 4 if too many failed.
 
-    Write the report if no log of the manifest is left, unless the report is newer than the store.
+    Write the report if no requested log is left.
     """
-    from imucal.fleet.store import FleetStore
-    from imucal.fleet_report import load_fleet
+    from imucal.fleet.store import read_store
+    from imucal.fleet.summary import load_fleet
 
-    store = FleetStore(out.absolute())
+    folder = out.absolute()
+    stored = read_store(folder)
     counted = {log.copy_of or log.path for log in plan.own()}
-    every = store.logs()
-    logs = every.filter(every["path"].is_in(sorted(counted)))
+    every = stored.logs()
+    logs = [row for row in every if row["path"] in counted]
     print_standing(logs, out)
     failed = print_failures(logs)
-    asked = store.manifest()
-    waiting = set(asked.filter(asked["copy_of"].is_null())["path"]) - set(every["path"])
-    if every.filter(status="ok").height and not waiting:
-        page, last = (store.folder / name for name in ("fleet.html", "fleet.json"))
-        if page.is_file() and last.is_file() and last.stat().st_mtime_ns > store.changed_ns():
-            echo(str(page))
-        else:
-            write_files(load_fleet(store.folder, ask=ask), page_alone=True)
-    readable = logs.height - sum(status not in {"ok", "no-data"} for status in logs["status"])
-    if logs.height and not readable:
-        echo(f"Error: {out}: none of {number_of(logs.height, 'log')} can be read", err=True)
+    waiting = {log.path for log in stored.asked.values() if not log.copy_of} - {row["path"] for row in every}
+    if count(every, "ok") and not waiting:
+        write_files(load_fleet(folder), page_alone=True)
+    readable = count(logs, "ok") + count(logs, "no-data")
+    if logs and not readable:
+        echo(f"Error: {out}: none of {number_of(logs, 'log')} can be read", err=True)
         raise click.exceptions.Exit(3)
-    if failed > max_failed * max(logs.height, 1):
-        percent = f"{100 * failed / logs.height:.3g} %"
-        share = f"{failed} of {number_of(logs.height, 'log')} failed ({percent})"
+    if failed > max_failed * max(len(logs), 1):
+        percent = f"{100 * failed / len(logs):.3g} %"
+        share = f"{failed} of {number_of(logs, 'log')} failed ({percent})"
         echo(f"Error: {out}: {share}, more than --max-failed {100 * max_failed:g}%", err=True)
         raise click.exceptions.Exit(4)
 
@@ -99,41 +95,42 @@ def write_files(
 
     Without a terminal, the sentence about odd units is one line, which is easier to search.
     """
-    from imucal.fleet_report import write_fleet
-    from imucal.fleet_report.pages import verdict
+    from imucal.fleet.files import write_fleet
+    from imucal.fleet.page import verdict
 
     missing: list[Finding] = []
     files = write_fleet(fleet, html=html, pictures=pictures, on_finding=missing.append)
     page = next((file for file in files if file.suffix == ".html"), files[0])
     for file in [page] if page_alone else files:
         echo(str(file))
-    print_findings([*fleet.findings, *missing])
+    print_findings(missing)
     text = verdict(fleet)[1]
     for line in wrapped(text) if sys.stderr.isatty() else [text]:
         print_note(line)
 
 
-def print_standing(logs: "pl.DataFrame", folder: Path) -> None:
+def print_standing(logs: "Sequence[LogRow]", folder: Path) -> None:
     """Print the number of logs per result, and their size and time."""
     from imucal.fleet.store import STATUSES
 
     counts = [f"{count(logs, 'ok', grade)} {GRADE_TEXTS[grade]}" for grade in GRADES]
     counts += [f"{n} {status}" for status in STATUSES if status != "ok" and (n := count(logs, status))]
-    echo(f"{folder}: {number_of(logs.height, 'log')} done: {', '.join(counts)}")
-    cpu, size = float(logs["cpu_s"].sum() or 0.0), int(logs["bytes"].sum() or 0)
+    echo(f"{folder}: {number_of(logs, 'log')} done: {', '.join(counts)}")
+    cpu, size = sum(row["cpu_s"] for row in logs), sum(row["bytes"] for row in logs)
     if cpu:
         echo(f"{data_size(size)} in {duration(cpu)} of one core, {size / cpu / 1e6:.3g} MB/s")
 
 
-def print_failures(logs: "pl.DataFrame") -> int:
+def print_failures(logs: "Sequence[LogRow]") -> int:
     """Print the logs without usable numbers, the first of each kind of failure; return how many failed."""
-    from imucal.fleet_run.plan import has_failed
+    from imucal.fleet.plan import has_failed
 
     groups: dict[str, list[str]] = {}
-    for path, status, verdict, reason in logs.select("path", "status", "verdict", "reason").iter_rows():
-        if has_failed(status, verdict):
-            kind, why = ("not noise", "not noise") if status == "ok" else (status, reason)
-            groups.setdefault(kind, []).append(f"{path}: {why}")
+    for row in logs:
+        status = row["status"]
+        if has_failed(status, row["verdict"]):
+            kind, why = ("not noise", "not noise") if status == "ok" else (status, row["reason"])
+            groups.setdefault(kind, []).append(f"{row['path']}: {why}")
     for kind, texts in groups.items():
         print_note(f"{kind}: {len(texts)}")
         for text in texts[:_NAMED]:
@@ -149,9 +146,9 @@ def number_of(things: int | Sized, one: str, many: str = "") -> str:
     return f"{number} {one if number == 1 else many or one + 's'}"
 
 
-def count(logs: "pl.DataFrame", status: str, verdict: str | None = None) -> int:
+def count(logs: "Sequence[LogRow]", status: str, verdict: str | None = None) -> int:
     """Return the number of logs with a status and a verdict."""
-    return logs.filter(status=status, **({} if verdict is None else {"verdict": verdict})).height
+    return sum(row["status"] == status and verdict in {None, row["verdict"]} for row in logs)
 
 
 def _patience(text: str) -> float | None:
@@ -176,11 +173,14 @@ SHARD = Text("shard", _shard)
 
 def is_fleet(path: str | Path) -> bool:
     """Return whether a path is the folder of a fleet; a URL never is."""
-    return not is_url(path) and (Path(path) / "manifest.parquet").is_file()
+    from imucal.fleet import store
+
+    return not is_url(path) and store.is_fleet(path)
 
 
 def read_fleet(path: str | Path, model: str | None) -> "Fleet":
-    """Load one sensor model of a fleet without its logs."""
-    from imucal.fleet_report.summary import load_model
+    """Load a fleet, and refuse it if it has several sensor models and none is named, or not this one."""
+    from imucal.fleet.summary import load_fleet
 
-    return load_model(path, model)
+    fleet = load_fleet(path)
+    return replace(fleet, models=(fleet.model(model),))

@@ -19,7 +19,7 @@ from imucal.grading import NoiseVerdict, refusal
 from imucal.printable import printable, printable_json
 
 if TYPE_CHECKING:
-    from imucal.fleet_run.running import RunCount
+    from imucal.fleet.running import RunCount
 
 
 def echo(text: str, *, err: bool = False) -> None:

@@ -154,7 +154,7 @@ def _of_report(
     report = load_report(request)
     result = check(report, limits, baseline=older)
     if units is not None:
-        from imucal.fleet_report import check_fleet
+        from imucal.fleet.as_report import check_fleet
 
         result = replace(result, rows=result.rows + check_fleet(report, units))
     if config is not None:
@@ -194,7 +194,7 @@ def _limits(
         misuse("--sensor needs a fleet; give --fleet FLEET too")
     if fleet is not None and not is_fleet(fleet):
         expected = "expected the folder of a fleet that imucal fleet run writes"
-        raise ReadError(f"{fleet}: found no manifest.parquet, {expected}")
+        raise ReadError(f"found no fleet, {expected}", place=fleet)
     if fleet is None and limits_file is None and baseline is None and config is None:
         misuse(
             "nothing to check against; give --limits FILE, --baseline REPORT, --fleet FLEET or --config FILE"

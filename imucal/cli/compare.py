@@ -123,7 +123,7 @@ def _both(a: str, b: str | None, models: dict[Sensor, str], fleet: str | None) -
             f"{folder} is a fleet and {shown_address(other)} is not; compare two fleets, or check one log: "
             f"imucal check {_typed(other)} --fleet {_typed(folder)}"
         )
-    from imucal.fleet_report.as_report import fleet_as_report
+    from imucal.fleet.as_report import fleet_as_report
 
     first, second = (fleet_as_report(read_fleet(path, fleet), value="median") for path in (a, b))
     return first, second

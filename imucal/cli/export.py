@@ -267,7 +267,7 @@ def _report(request: LogRequest, model: str | None, *, median: bool) -> Report:
     if is_fleet(folder):
         if len(request.logs) > 1 or request.settings():
             misuse(f"{folder} is a fleet; give it alone, without options for a log")
-        from imucal.fleet_report.as_report import fleet_as_report
+        from imucal.fleet.as_report import fleet_as_report
 
         return fleet_as_report(read_fleet(folder, model), value="median" if median else "tolerance")
     if median or model is not None:

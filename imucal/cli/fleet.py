@@ -75,7 +75,7 @@ def command() -> None:
     """
 
 
-#: Copies of the defaults in `imucal.fleet_run.plan`, whose import would slow down --help.
+#: Copies of the defaults in `imucal.fleet.plan`, whose import would slow down --help.
 _MODEL = "N + B + K"
 _LEVEL = 0.95
 
@@ -192,12 +192,12 @@ def run(
     (--manifest). Finished logs are kept. The same command again does the rest, also after a crash.
     Changed logs are fitted again; duplicate files count once.
     """
-    from imucal.fleet.store import FleetStore
-    from imucal.fleet_run import fleet_settings, planned, prepare
-    from imucal.fleet_run.on_dask import unprotected
-    from imucal.fleet_run.running import asking, run_plan
+    from imucal.fleet.on_dask import unprotected
+    from imucal.fleet.plan import fleet_settings, planned
+    from imucal.fleet.running import run_plan
+    from imucal.fleet.store import is_fleet
 
-    if not (logs or manifest or FleetStore(out).exists):
+    if not (logs or manifest or is_fleet(out)):
         misuse("Missing argument 'LOGS...'; name logs, or give --manifest CSV or the folder of a fleet (-o)")
     given = {
         "labels": labels,
@@ -219,14 +219,13 @@ def run(
     if dry_run:
         print_plan(plan, settings.jobs)
         return
-    prepare(plan, settings)
-    print_summary(plan, FleetStore(out))
+    print_summary(plan)
     if warned := unprotected(settings.scheduler):
         echo(f"warning: {warned}", err=True)
     with _how_to_continue(out):
         with fleet_progress(when=bool(plan.tasks)) as progress:
             run_plan(plan, settings, progress=progress or (lambda _: None))
-        conclude(plan, out, ask=asking(settings), max_failed=max_failed)
+        conclude(plan, out, max_failed=max_failed)
 
 
 @contextlib.contextmanager
@@ -279,11 +278,11 @@ Exit codes: 0 done, 2 usage, 3 the folder is not a fleet or can't be read,
 def report(*, folder: Path, content: float, confidence: float, html: bool, pictures: bool) -> None:
     """Describe the units of each sensor model in FLEET, the folder of 'imucal fleet run'.
 
-    Per model, axis and term, the report contains: the units with their intervals, the median unit, the
-    spread between units and between logs of one unit, the range of the next unit, and the number for
-    the config of every unit (the tolerance bound) with the savings from more units. Odd units are named.
+    The report tells whether a unit is unlike the others. Per model, axis and term it contains: the units
+    with their intervals, the range of the next unit, the number for the config of every unit (the
+    tolerance bound), the median unit, and the spread between units and between logs of one unit.
     """
-    from imucal.fleet_report import load_fleet
+    from imucal.fleet.summary import load_fleet
 
     fleet = load_fleet(folder, content=content, confidence=confidence)
     write_files(fleet, html=html, pictures=pictures)
@@ -304,25 +303,24 @@ Examples:
 @quiet
 def status(*, folder: Path, as_json: bool) -> None:
     """List the logs of FLEET that are done, failed or left, also during a run."""
-    from imucal.fleet.store import STATUSES, FleetStore
+    from imucal.fleet.store import STATUSES, read_store
 
-    store = FleetStore(folder)
-    manifest = store.manifest()
-    store.refuse_damage()
-    logs = store.logs()
-    copies = dict(manifest.drop_nulls("copy_of").select("path", "copy_of").iter_rows())
-    settled = {*logs["path"], *copies}
-    left = [path for path in manifest["path"] if path not in settled]
+    stored = read_store(folder)
+    stored.refuse_damage()
+    logs = stored.logs()
+    copies = {log.path: log.copy_of for log in stored.asked.values() if log.copy_of}
+    settled = {*(row["path"] for row in logs), *copies}
+    left = sorted(stored.asked.keys() - settled)
     if as_json:
         document = {
-            "asked": manifest.height,
-            "done": logs.height,
+            "asked": len(stored.asked),
+            "done": len(logs),
             "statuses": {status: count(logs, status) for status in STATUSES},
             "verdicts": {grade: count(logs, "ok", grade) for grade in GRADES},
             "copies": copies,
             "left": left,
-            "bytes": int(logs["bytes"].sum() or 0),
-            "cpu_s": float(logs["cpu_s"].sum() or 0.0),
+            "bytes": sum(row["bytes"] for row in logs),
+            "cpu_s": sum(row["cpu_s"] for row in logs),
         }
         print_json(document)
         return
@@ -331,5 +329,5 @@ def status(*, folder: Path, as_json: bool) -> None:
     for path, other in copies.items():
         print_note(f"  {path}: same content as {other}, counted once")
     if left:
-        left_of = f"{len(left)} of {number_of(manifest.height, 'log')}"
+        left_of = f"{len(left)} of {number_of(stored.asked, 'log')}"
         echo(f"left: {left_of}; to continue: imucal fleet run -o {as_typed(folder)}")

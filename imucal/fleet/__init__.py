@@ -1,7 +1,6 @@
-"""fleet: the logs of many units -> the statistics of the sensor model, and odd units."""
+"""fleet: the logs of many units -> the numbers of the sensor model, and odd units."""
 
-from imucal.fleet.pooling import PooledFit, log_values, pool
 from imucal.fleet.population import Population, population
-from imucal.fleet.values import LogValue
+from imucal.fleet.values import LogValue, log_values
 
-__all__ = ["LogValue", "PooledFit", "Population", "log_values", "pool", "population"]
+__all__ = ["LogValue", "Population", "log_values", "population"]

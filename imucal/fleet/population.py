@@ -17,11 +17,11 @@ Biometrics 10, 101 (equal logs); Holm (1979), Scandinavian Journal of Statistics
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import chdtrc, chdtri, ndtr, ndtri, stdtr, stdtrit
+from scipy.special import chdtrc, chdtri, fdtrc, ndtr, ndtri, stdtr, stdtrit
 
 from imucal.arguments import takes
 from imucal.arrays import FloatArray
@@ -46,6 +46,8 @@ _Z = float(ndtri((1 + _LEVEL) / 2))
 _LEAST_SPREAD = 1e-9
 #: Multiple of its error from which a square is used for the scatter between logs of a unit.
 _SURE = 2.0
+#: Fewest degrees of freedom of other units' logs for a comparison with them.
+_MIN_OTHERS = 4
 _MOSTLY_BOUNDED = (
     "{:.0f} % of the units only bound this term: every number is an upper bound, and the spread is "
     "unknown. Longer logs would help more than more units."
@@ -65,6 +67,7 @@ class UnitValue:
     """The coefficient of one unit of a fleet, from all of its logs; the value is None if it is only bounded.
 
     `p_value` is from the comparison with the other units; `p_odd` is adjusted for the number of units.
+    `p_logs` is the probability that the logs of a unit like the others differ as much; None for one log.
     """
 
     unit: str
@@ -75,6 +78,7 @@ class UnitValue:
     p_value: float | None = None
     p_odd: float | None = None
     odd: bool = False
+    p_logs: float | None = None
 
 
 @frozen
@@ -147,9 +151,17 @@ def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: f
     for log in logs:
         by_unit.setdefault(log.unit, []).append(log)
     typical = _typical_square(logs)
-    within = _within(by_unit)
-    scatter = 0.0 if within is None else within.value or 0.0
-    units = [_unit_value(name, unit_logs, typical, scatter) for name, unit_logs in by_unit.items()]
+    scatters = {name: _scatter_of(unit_logs) for name, unit_logs in by_unit.items()}
+    whole = _sum_of(scatters.values())
+    within = whole.interval
+    scatter = within.value if within else 0.0
+    units = [
+        replace(
+            _unit_value(name, unit_logs, typical, scatter),
+            p_logs=_p_of_logs(unit_logs, scatters[name], whole) if len(unit_logs) > 1 else None,
+        )
+        for name, unit_logs in by_unit.items()
+    ]
     plain = Population(
         units=tuple(units),
         logs=len(logs),
@@ -191,20 +203,6 @@ def membership(found: Population, new: LogValue) -> float:
     return max(p_values)
 
 
-def random_mean(values: FloatArray, errors: FloatArray) -> tuple[float, float, float]:
-    """Return the random-effects mean of values, shape (n,), its standard error, and their spread.
-
-    Source: DerSimonian & Laird (1986), Controlled Clinical Trials 7, p. 177.
-    """
-    weight = errors**-2.0
-    total = float(weight.sum())
-    statistic = float(np.sum(weight * (values - np.average(values, weights=weight)) ** 2))
-    between = max(statistic - (values.size - 1), 0.0) / (total - float(np.square(weight).sum()) / total)
-    weight = 1 / (errors**2 + between)
-    mean = float(np.average(values, weights=weight))
-    return mean, 1 / math.sqrt(float(weight.sum())), math.sqrt(between)
-
-
 def _typical_square(logs: Sequence[LogValue]) -> float:
     """Return the median square of the logs: weights must not depend on a log's own estimate."""
     return max(float(np.median([log.square for log in logs])), 0.0)
@@ -216,19 +214,22 @@ def _unit_value(name: str, logs: Sequence[LogValue], typical: float, scatter: fl
         (log,) = logs
         low, high = log.limits(_LEVEL)
         return UnitValue(unit=name, logs=1, value=log.value, low=low, high=high)
-    square, error = _mean_square(logs, typical, scatter)
-    low = square - _Z * error
-    high = math.sqrt(max(square, 0.0) + _Z * error)
-    if low <= 0:
+    square, error, ratio = _mean_square(logs, typical, scatter)
+    wide = _Z * error * ratio
+    high = math.sqrt(max(square, 0.0) + wide)
+    if square <= _Z * error:
         return UnitValue(unit=name, logs=len(logs), value=None, low=0.0, high=high)
-    return UnitValue(unit=name, logs=len(logs), value=math.sqrt(square), low=math.sqrt(low), high=high)
+    value = math.sqrt(square)
+    # Logs that show the coefficient and differ much have limits in the logarithm: it is not zero.
+    low = math.sqrt(square - wide) if wide < square else value * math.exp(-wide / (2 * square))
+    return UnitValue(unit=name, logs=len(logs), value=value, low=low, high=high)
 
 
-def _mean_square(logs: Sequence[LogValue], typical: float, scatter: float) -> tuple[float, float]:
-    """Return the mean square of a unit's logs and its error.
+def _mean_square(logs: Sequence[LogValue], typical: float, scatter: float) -> tuple[float, float, float]:
+    """Return the mean square of a unit's logs, its error, and the Birge ratio by which its limits are wider.
 
-    `scatter` is the relative deviation between logs of a unit. If they differ by more than this and their
-    errors explain, the error is larger by the Birge ratio.
+    `scatter` is the relative deviation between logs of a unit. The ratio is 1 unless they differ by more than
+    this and their errors explain.
     """
     squares = np.array([log.square for log in logs])
     weights = np.array([log.square_deviation(typical) for log in logs]) ** -2.0
@@ -238,9 +239,8 @@ def _mean_square(logs: Sequence[LogValue], typical: float, scatter: float) -> tu
     error = math.sqrt(float(np.sum((weights * deviations) ** 2))) / float(weights.sum())
     dof = len(logs) - 1
     statistic = float(np.sum(((squares - square) / deviations) ** 2))
-    if float(chdtrc(dof, statistic)) < SIGNIFICANCE:
-        error *= math.sqrt(statistic / dof)
-    return square, error
+    ratio = math.sqrt(statistic / dof) if float(chdtrc(dof, statistic)) < SIGNIFICANCE else 1.0
+    return square, error, ratio
 
 
 def _middle(units: Sequence[UnitValue]) -> Interval:
@@ -432,21 +432,66 @@ def _without_errors(variance: float, dof: int, error: float) -> Interval:
     return Interval(value=value, low=low, high=high)
 
 
-def _within(by_unit: Mapping[str, Sequence[LogValue]]) -> Interval | None:
-    """Return the relative deviation between logs of a unit beyond their errors; None without such logs."""
-    scatter = error = 0.0
-    dof = 0
-    for logs in by_unit.values():
-        squares = np.array([log.square for log in logs])
-        deviations = np.array([log.square_deviation(max(log.square, 0.0)) for log in logs])
-        sure = squares > _SURE * deviations
-        count = int(sure.sum())
-        if count > 1:
-            logarithms = np.log(squares[sure]) / 2
-            scatter += float(np.sum((logarithms - logarithms.mean()) ** 2))
-            error += (count - 1) / count * float(np.sum((deviations[sure] / squares[sure] / 2) ** 2))
-            dof += count - 1
-    return _without_errors(scatter / dof, dof, error / dof) if dof else None
+@frozen
+class _Scatter:
+    """The sum of squared deviations of the logarithms of a unit's logs, and its mean by their errors alone.
+
+    `dof` are the degrees of freedom; logs that hardly show the coefficient are left out.
+    """
+
+    squares: float
+    error: float
+    dof: int
+
+    @property
+    def interval(self) -> Interval | None:
+        """The deviation between logs of a unit; None without degrees of freedom."""
+        if not self.dof:
+            return None
+        return _without_errors(self.squares / self.dof, self.dof, self.error / self.dof)
+
+
+def _sum_of(scatters: Collection[_Scatter]) -> _Scatter:
+    return _Scatter(
+        squares=sum(one.squares for one in scatters),
+        error=sum(one.error for one in scatters),
+        dof=sum(one.dof for one in scatters),
+    )
+
+
+def _scatter_of(logs: Sequence[LogValue]) -> _Scatter:
+    squares = np.array([log.square for log in logs])
+    deviations = np.array([log.square_deviation(max(log.square, 0.0)) for log in logs])
+    sure = squares > _SURE * deviations
+    count = int(sure.sum())
+    if count < 2:
+        return _Scatter(squares=0.0, error=0.0, dof=0)
+    logarithms = np.log(squares[sure]) / 2
+    errors = deviations[sure] / squares[sure] / 2
+    return _Scatter(
+        squares=float(np.sum((logarithms - logarithms.mean()) ** 2)),
+        error=(count - 1) / count * float(np.sum(errors**2)),
+        dof=count - 1,
+    )
+
+
+def _p_of_logs(logs: Sequence[LogValue], own: _Scatter, whole: _Scatter) -> float:
+    """Return the probability that the logs of a unit like the others differ as much.
+
+    The scatter of all logs minus that of the unit is the reference (F test), but at least the errors of the
+    unit's logs. If few other units have several logs, the errors alone are the reference: a test of one
+    coefficient in all logs (Cochran 1954).
+    """
+    others = whole.dof - own.dof
+    if own.dof and others >= _MIN_OTHERS:
+        reference = max((whole.squares - own.squares) / others, own.error / own.dof)
+        return float(fdtrc(own.dof, others, own.squares / own.dof / reference)) if reference > 0 else 1.0
+    squares = np.array([log.square for log in logs])
+    # All deviations at one square: at its own, a large estimate would get less weight.
+    common = max(float(squares.mean()), 0.0)
+    weights = np.array([log.square_deviation(common) for log in logs]) ** -2.0
+    statistic = float(np.sum(weights * (squares - np.average(squares, weights=weights)) ** 2))
+    return float(chdtrc(len(logs) - 1, statistic))
 
 
 def _unit_squares(by_unit: Mapping[str, Sequence[LogValue]], typical: float) -> tuple[FloatArray, FloatArray]:
@@ -454,7 +499,8 @@ def _unit_squares(by_unit: Mapping[str, Sequence[LogValue]], typical: float) -> 
     means = []
     for logs in by_unit.values():
         if len(logs) > 1:
-            means.append(_mean_square(logs, typical, 0.0))
+            square, error, ratio = _mean_square(logs, typical, 0.0)
+            means.append((square, error * ratio))
         else:
             means.append((logs[0].square, logs[0].square_deviation(typical)))
     return np.array([square for square, _ in means]), np.array([error for _, error in means])

@@ -1,309 +1,267 @@
-"""The store of a fleet: a folder of parquet parts for parallel writers, which remains valid after a crash.
+"""The store of a fleet: files of JSON lines that only grow, one for each run.
 
-A part is forced to disk and then renamed, so it is never incomplete. In a batch of three parts, the one in
-``logs`` is written last and commits the others. No part is changed in place, so several runs can use one
-store. Each file contains its checksum.
+Only the client of a run writes, so workers need no shared folder, and several runs may use one store. A line
+begins with the CRC-32 of its text, so a damaged line is found and never counted. The first line of a file has
+the settings and the requested logs; each other line has the results of one log. A killed run loses at most
+the line that it was writing.
 """
 
-import hashlib
-import io
-import itertools
 import json
+import os
 import secrets
 import shutil
-from collections.abc import Collection, Iterable, Iterator, Mapping
+import time
+import zlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self, TypeAlias
 
-import polars as pl
-
-from imucal.atomic import replacing, sweep, sync_folder
+from imucal.atomic import replacing, sync_folder
 from imucal.errors import Fix, ReadError, StoreError, WriteError
-from imucal.locks import locked
+from imucal.fleet.manifest import LABELS
+from imucal.frozen import frozen
+from imucal.readers.foreign import FLEET_FILES
+from imucal.report.typed_json import to_json
 
+SCHEMA = "imucal/fleet-store/2"
 #: Results of a log. The first three depend on the log alone; the others may change in another run.
 STATUSES = ("ok", "unreadable", "no-data", "memory", "timeout", "crash")
+#: Reports of single logs.
+REPORTS = "reports"
+#: Time in s after which a line without an end is not being written any more.
+_WRITING_S = 0.2
 
-_TEXT, _REAL, _COUNT = pl.String(), pl.Float64(), pl.Int64()
-#: Labels of a log, from the manifest or its path.
-LABELS = {"model": _TEXT, "unit": _TEXT, "temperature_c": _REAL, "started": _TEXT}
-#: One row per requested log; free columns of text may follow.
-MANIFEST = {"path": _TEXT, **LABELS, "options": _TEXT, "copy_of": _TEXT}
-#: One row per finished log. `reason` is the sentence of an error without the log's path, and `code` its name
-#: for programs. `edge` is a checksum of size and both ends, `finished` a Unix time in s.
-LOGS = {
-    **dict.fromkeys(("key", "content", "edge", "path"), _TEXT),
-    **LABELS,
-    **dict.fromkeys(("status", "reason", "code", "verdict"), _TEXT),
-    "findings": pl.List(_TEXT),
-    "samples": _COUNT,
-    **dict.fromkeys(("seconds", "rate_hz"), _REAL),
-    **dict.fromkeys(("bytes", "mtime_ns"), _COUNT),
-    **dict.fromkeys(("cpu_s", "wall_s", "finished"), _REAL),
-    **dict.fromkeys(("report", "version"), _TEXT),
-}
-#: Stored fields of an `imucal.LogValue`.
-OF_VALUE = ("value", "low", "high", "variance", "variance_sd", "variance_growth", "level", "correlation_time")
-#: One row per log, axis and term; in SI.
-RESULTS = {
-    **dict.fromkeys(("key", "sensor", "axis", "term", "unit_si"), _TEXT),
-    **dict.fromkeys(OF_VALUE, _REAL),
-}
-#: One row per log and axis: its binned spectrum.
-BINS = {"key": _TEXT, "sensor": _TEXT, "axis": _TEXT, "bins": pl.Binary()}
-#: Statistics of other rows (JSON); the key is a checksum of these rows.
-DERIVED = {"key": _TEXT, "value": _TEXT}
-#: The tables of a batch, in the order in which they are written; and all.
-_OF_BATCH: dict[str, dict[str, Any]] = {"bins": BINS, "results": RESULTS, "logs": LOGS}
-_TABLES: dict[str, dict[str, Any]] = {"derived": DERIVED, **_OF_BATCH}
-_MANIFEST, _SETTINGS = "manifest.parquet", "settings.json"
-#: Bytes of a checksum, and of the end of a parquet file (footer size and four letters).
-_SEAL, _END = 32, 8
-_NOT_WHOLE = "is damaged"
-
-Row = Mapping[str, object]
+#: The results of a log: its key, path, labels, status, sizes and times, and one value for each term.
+LogRow: TypeAlias = dict[str, Any]
 
 
-class FleetStore:
-    """The folder of a fleet: its manifest and the results of each log.
+@frozen
+class AskedLog:
+    """A requested log: path, labels, arguments of `imucal.read`, and the log of which it is a copy."""
 
-    Methods raise `WriteError` if a file can't be written or removed, and `StoreError` if a file is damaged.
+    path: str
+    labels: Mapping[str, str | float]
+    reading: Mapping[str, Any]
+    copy_of: str | None
+
+    def as_json(self) -> dict[str, object]:
+        return {
+            "path": self.path,
+            "labels": dict(self.labels),
+            "reading": dict(self.reading),
+            "copy_of": self.copy_of,
+        }
+
+
+@frozen
+class Stored:
+    """The content of a store.
+
+    `settings` are the noise model and the level of all fits. `asked` contains the requested logs by their
+    paths. `rows` are the results of all logs in the order of their writing. `damaged` are lines, such as
+    ``run-1.fleet:5``, of which no run knows yet.
     """
 
-    def __init__(self, folder: str | Path) -> None:
-        self.folder = Path(folder)
+    folder: Path
+    settings: Mapping[str, Any]
+    asked: Mapping[str, AskedLog]
+    rows: tuple[LogRow, ...]
+    damaged: tuple[str, ...]
 
-    @property
-    def exists(self) -> bool:
-        return (self.folder / _MANIFEST).is_file()
-
-    def create(self) -> None:
-        """Make the folder, or check that it contains a fleet; remove remains of crashes.
-
-        Raises `WriteError` also for a folder with other content.
-        """
-        begun = self.exists
-        with suppress(StoreError):
-            begun = begun or bool(self.settings())
-        if self.folder.is_dir() and not begun:
-            names = sorted({path.name for path in self.folder.iterdir()} - {_SETTINGS, *_TABLES})
-            # Another run may start here, too: its scratch files and its lock begin with a dot.
-            if strange := [name for name in names if not name.startswith(".")]:
-                found = f"contains {', '.join(strange[:3])} but no imucal fleet"
-                problem = f"{found}; nothing was changed"
-                raise WriteError(problem, place=self.folder, fix=Fix("choose another folder"))
-        with translated(self.folder):
-            for name in _TABLES:
-                (self.folder / name).mkdir(parents=True, exist_ok=True)
-                sweep((self.folder / name).glob(".part-*"))
-
-    def clear(self) -> None:
-        """Remove every part and the manifest, but not the settings, which mark the folder of a fleet."""
-        with translated(self.folder):
-            # The commit records first: without them other parts are ignored.
-            for path in (path for table in reversed(_TABLES) for path in self._parts(table)):
-                path.unlink(missing_ok=True)
-            shutil.rmtree(self.folder / "reports", ignore_errors=True)
-            (self.folder / _MANIFEST).unlink(missing_ok=True)
-
-    def settings(self) -> dict[str, object]:
-        """Return the settings of all logs; empty if there are none."""
-        path = self.folder / _SETTINGS
-        try:
-            found = json.loads(path.read_text(encoding="utf-8"))
-            seal = found.pop("checksum")
-        except FileNotFoundError:
-            return {}
-        except (OSError, ValueError, KeyError, AttributeError):
-            found, seal = {}, None
-        if seal != _digest(json.dumps(found).encode()).hex():
-            raise StoreError(_NOT_WHOLE, place=path, fix=Fix("start the fleet again with --fresh"))
-        return dict(found)
-
-    def keep_settings(self, settings: Row) -> None:
-        sealed = {**settings, "checksum": _digest(json.dumps(settings).encode()).hex()}
-        with replacing(self.folder / _SETTINGS) as scratch:
-            scratch.write_text(json.dumps(sealed, indent=2) + "\n", encoding="utf-8")
-
-    def manifest(self) -> pl.DataFrame:
-        """Return the requested logs, one row each; raises `ReadError` if there is no fleet."""
-        path = self.folder / _MANIFEST
-        try:
-            if _is_whole(path, ()):
-                return pl.read_parquet(path, glob=False)
-        except OSError as error:
-            found = "no such file" if isinstance(error, FileNotFoundError) else error.strerror or error
-            problem = f"{found}; expected the folder of a fleet, written by imucal fleet run"
-            raise ReadError(problem, place=path) from error
-        fix = Fix("remove it and give the logs again: finished logs are kept")
-        raise StoreError(_NOT_WHOLE, place=path, fix=fix)
-
-    def add_to_manifest(self, rows: pl.DataFrame) -> pl.DataFrame:
-        """Add logs to the manifest, or change their labels; return it."""
-        with translated(self.folder), locked(self.folder / ".lock"):
-            if self.exists:
-                old = self.manifest()
-                others = old.join(rows.select("path"), on="path", how="anti")
-                rows = pl.concat([others, rows], how="diagonal")
-                if rows.columns == old.columns and rows.sort("path").equals(old.sort("path")):
-                    return old
-            _write(self.folder / _MANIFEST, rows, ())
-        return rows
-
-    def changed_ns(self) -> int:
-        """Return when logs or labels last changed, in ns since 1970."""
-        return max((self.folder / name).stat().st_mtime_ns for name in (_MANIFEST, "logs"))
-
-    def commit(
-        self, logs: Iterable[Row], results: Iterable[Row] = (), bins: Iterable[Row] = (), *, shard: str = "0"
-    ) -> str:
-        """Write the results of some logs, all or nothing; return the name of the part."""
-        name = f"part-{shard}-{secrets.token_hex(8)}.parquet"
-        for table, rows in zip(_OF_BATCH, (bins, results, logs), strict=True):
-            self._add(table, name, rows)
-        return name
-
-    def derived(self, keys: Collection[str]) -> dict[str, str]:
-        found = self._read("derived", self._parts("derived"), pl.Series(keys, dtype=pl.String))
-        return dict(found.select("key", "value").iter_rows())
-
-    def keep_derived(self, found: Mapping[str, str]) -> None:
-        with translated(self.folder):
-            (self.folder / "derived").mkdir(exist_ok=True)
-        rows = ({"key": key, "value": value} for key, value in found.items())
-        self._add("derived", f"part-{secrets.token_hex(8)}.parquet", rows)
-
-    def logs(self) -> pl.DataFrame:
-        """Return the results of each log: the columns of `LOGS`, and `part`; sorted by path.
+    def logs(self) -> list[LogRow]:
+        """Return the rows that count, with their newest labels, sorted by path.
 
         Equal contents count once (the newest success, otherwise the newest failure), and so does a path.
         """
-        found, newest = self._read("logs", self._parts("logs")), ("finished", "part")
-        for one, order in (("key", (pl.col("status") == "ok", *newest)), ("path", newest)):
-            found = found.sort(*order, descending=True).unique(one, keep="first", maintain_order=True)
-        if self.exists:
-            manifest = self.manifest()
-            # The manifest contains the new path of a moved log.
-            moved = manifest.filter(pl.col("copy_of").is_not_null()).with_columns(path="copy_of")
-            labels = pl.concat([manifest, moved]).unique("path", keep="first", maintain_order=True)
-            joined = found.join(labels.select("path", *LABELS), on="path", how="left", suffix="_new")
-            kept = [pl.coalesce(f"{name}_new", name).alias(name) for name in LABELS]
-            found = joined.with_columns(kept).select(found.columns)
-        return found.sort("path")
-
-    def results(self, logs: pl.DataFrame | None = None) -> pl.DataFrame:
-        """Return one row per log, axis and term: `RESULTS`, and path, model, unit."""
-        logs = self.logs() if logs is None else logs
-        labels = logs.select("part", "key", "path", "model", "unit")
-        found = self._rows_of("results", labels)
-        columns = dict.fromkeys((*labels.columns[1:], *RESULTS))
-        return found.select(*columns).sort("path", "sensor", "axis", "term")
-
-    def bins(self, keys: Collection[str] | None = None) -> pl.DataFrame:
-        """Return the binned spectra of all logs, or of those with the keys: the columns of `BINS`."""
-        logs = self.logs().select("part", "key")
-        own = logs if keys is None else logs.filter(pl.col("key").is_in(list(keys)))
-        return self._rows_of("bins", own).sort("key", "sensor", "axis")
-
-    def axes(self) -> pl.DataFrame:
-        """Return the key, sensor and axis of each binned spectrum."""
-        return self._rows_of("bins", self.logs().select("part", "key"), ("key", "sensor", "axis"))
-
-    def damaged(self) -> dict[Path, list[Path]]:
-        """Return the damaged parts, each with all parts of its batch, the commit record first."""
-        batches = [part.name for part in self._parts("logs")]
-        groups = [[self.folder / table / name for table in reversed(_OF_BATCH)] for name in batches]
-        groups += [[path] for path in self._parts("derived")]
-        every = ((path, group) for group in groups for path in group)
-        return {path: group for path, group in every if not _is_whole(path, _TABLES[path.parent.name])}
+        by_key: dict[str, LogRow] = {}
+        for row in sorted(self.rows, key=lambda row: (row["status"] == "ok", row["finished"])):
+            by_key[row["key"]] = row
+        by_path: dict[str, LogRow] = {}
+        for row in sorted(by_key.values(), key=lambda row: row["finished"]):
+            by_path[row["path"]] = row
+        labels = {log.copy_of: log.labels for log in self.asked.values() if log.copy_of}
+        labels |= {path: log.labels for path, log in self.asked.items()}
+        return [
+            row | {name: value for name, value in labels.get(path, {}).items() if name in LABELS}
+            for path, row in sorted(by_path.items())
+        ]
 
     def refuse_damage(self) -> None:
-        """Raise `StoreError` if a part is damaged."""
-        for part in self.damaged():
-            raise StoreError(_NOT_WHOLE, place=part, fix=Fix("run the fleet again to repeat its logs"))
-
-    def mend(self) -> list[Path]:
-        """Remove damaged batches, so that their logs are repeated; return the damaged parts."""
-        damaged = self.damaged()
-        with translated(self.folder):
-            for path in itertools.chain.from_iterable(damaged.values()):
-                if path.is_dir():
-                    shutil.rmtree(path)
-                path.unlink(missing_ok=True)
-        return list(damaged)
-
-    def _parts(self, table: str) -> list[Path]:
-        return sorted((self.folder / table).glob("part-*.parquet"))
-
-    def _add(self, table: str, name: str, rows: Iterable[Row]) -> None:
-        schema = _TABLES[table]
-        frame = pl.DataFrame([[row.get(c) for c in schema] for row in rows], schema=schema, orient="row")
-        _write(self.folder / table / name, frame, schema)
-
-    def _rows_of(self, table: str, logs: pl.DataFrame, columns: Collection[str] = ()) -> pl.DataFrame:
-        """Return the rows of a table for `logs`, joined with their columns."""
-        parts = [self.folder / table / name for name in logs["part"].unique()]
-        return self._read(table, parts, logs["key"], columns).join(logs, on=["part", "key"]).drop("part")
-
-    def _read(
-        self, table: str, parts: list[Path], keys: pl.Series | None = None, columns: Collection[str] = ()
-    ) -> pl.DataFrame:
-        """Return columns (default: all) of parts of a table, for some keys, and the part of each row."""
-        schema = {**_TABLES[table], "part": _TEXT}
-        wanted = (*columns, "part") if columns else (*schema,)
-        if not parts:
-            return pl.DataFrame(schema=schema).select(wanted)
-        rows = pl.scan_parquet(parts, include_file_paths="part", glob=False).select(wanted)
-        rows = rows if keys is None else rows.filter(pl.col("key").is_in(keys.implode()))
-        try:
-            # Streaming, because parts with bins are large.
-            found = rows.collect(engine="streaming")
-        except (OSError, pl.exceptions.PolarsError) as error:
-            why = (str(error) or type(error).__name__).splitlines()[0]
-            problem = f"can't be read ({why})"
-            raise StoreError(problem, place=self.folder / table, fix=Fix("run the fleet again")) from error
-        return found.with_columns(pl.col("part").str.split("/").list.last())
+        """Raise StoreError if a line is damaged."""
+        for line in self.damaged:
+            problem = "is damaged, and does not count"
+            fix = Fix("run the fleet again with the names of its logs: finished logs are kept")
+            raise StoreError(problem, place=f"{self.folder}/{line}", fix=fix)
 
 
-def _write(path: Path, frame: pl.DataFrame, columns: Iterable[str]) -> None:
-    stream = io.BytesIO()
-    frame.write_parquet(stream, compression="zstd")
-    data = stream.getvalue()
-    footer = _footer_at(data)
-    with replacing(path) as scratch:
-        scratch.write_bytes(data[:footer] + _digest(data, columns) + data[footer:])
-    sync_folder(path.parent)
+def is_fleet(folder: str | Path) -> bool:
+    """Return whether a folder contains the store of a fleet."""
+    return any(Path(folder).glob(FLEET_FILES))
 
 
-def _digest(data: bytes, columns: Iterable[str] = ()) -> bytes:
-    return hashlib.blake2b(data + ",".join(columns).encode(), digest_size=_SEAL).digest()
+def read_store(folder: str | Path) -> Stored:
+    """Return the content of a store; raises ReadError if there is none, and StoreError without settings."""
+    place = Path(folder)
+    files = sorted(place.glob(FLEET_FILES))
+    if not files:
+        found = "no fleet in this folder" if place.is_dir() else "no such folder"
+        raise ReadError(f"{found}; expected the folder of a fleet, written by imucal fleet run", place=place)
+    settings: dict[str, Any] = {}
+    asked: dict[str, AskedLog] = {}
+    rows: list[LogRow] = []
+    damaged: list[str] = []
+    known: set[str] = set()
+    for file in files:
+        for number, line in enumerate(_lines(file), 1):
+            content = _content(line)
+            if content is None:
+                damaged.append(f"{file.name}:{number}")
+                continue
+            settings = settings or content["settings"]
+            if content["settings"] != settings:
+                problem = f"has fits with {content['settings']}, other files of the fleet with {settings}"
+                raise StoreError(problem, place=file, fix=Fix("move the files of one of them away"))
+            known.update(content.get("damaged", ()))
+            asked |= {row["path"]: AskedLog(**row) for row in content.get("asked", ())}
+            if "log" in content:
+                rows.append(content["log"])
+    if not settings:
+        problem = f"has no undamaged line of {len(damaged)}" if damaged else "is empty"
+        fix = Fix("start the fleet again with --fresh")
+        raise StoreError(problem, place=files[0], fix=fix)
+    return Stored(
+        folder=place,
+        settings=settings,
+        asked=asked,
+        rows=tuple(rows),
+        damaged=tuple(line for line in damaged if line not in known),
+    )
 
 
-def _footer_at(data: bytes) -> int:
-    """Return the start of a parquet file's footer; the checksum is before it, and ignored by readers."""
-    return len(data) - _END - int.from_bytes(data[-_END:-4], "little")
-
-
-def _is_whole(path: Path, columns: Iterable[str]) -> bool:
+def _lines(file: Path) -> list[bytes]:
+    """Return the lines of a file; a last one without an end gets time to be finished."""
     try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        if not columns:
+        data = file.read_bytes()
+        if data and not data.endswith(b"\n"):
+            time.sleep(_WRITING_S)
+            data = file.read_bytes()
+    except OSError as error:
+        problem = f"can't be read: {error.strerror or error}"
+        raise StoreError(
+            problem, place=file, fix=Fix("make it readable, or choose another folder")
+        ) from error
+    lines = data.split(b"\n")
+    # After the last end of a line there is nothing; otherwise the writer of the last line was killed.
+    return lines if lines[-1] else lines[:-1]
+
+
+def _content(line: bytes) -> dict[str, Any] | None:
+    """Return the object of a line; None if it is damaged."""
+    checksum, _, text = line.partition(b" ")
+    if checksum != b"%08x" % zlib.crc32(text):
+        return None
+    content: dict[str, Any] = json.loads(text)
+    return content if content.get("schema") == SCHEMA else None
+
+
+def refuse_foreign(folder: Path) -> None:
+    """Raise WriteError if a folder contains something else than a fleet."""
+    with translated(folder):
+        if folder.is_dir() and not is_fleet(folder):
+            # Scratch files of another run begin with a dot.
+            strange = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
+            if strange:
+                problem = f"contains {', '.join(strange[:3])} but no imucal fleet; nothing was changed"
+                raise WriteError(problem, place=folder, fix=Fix("choose another folder"))
+
+
+class RunFile:
+    """The file of a run: `add` appends the results of a log and forces them to disk. Raises WriteError.
+
+    `damaged` are the lines of the store that the run knows to be damaged: it repeats their logs.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        settings: Mapping[str, object],
+        asked: Iterable[AskedLog] = (),
+        damaged: Sequence[str] = (),
+    ) -> None:
+        refuse_foreign(folder)
+        self._settings = dict(settings)
+        # The names have the order of the beginnings of the runs.
+        self.path = folder / f"run-{time.time_ns()}-{secrets.token_hex(4)}.fleet"
+        with translated(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            self._file = self.path.open("xb", buffering=0)
+        try:
+            self._append({"asked": [log.as_json() for log in asked], "damaged": list(damaged)})
+        except BaseException:
+            # Without its first line the file is not one of a run.
+            self._file.close()
+            with suppress(OSError):
+                self.path.unlink()
             raise
-        return False
-    except IsADirectoryError:
-        return False
-    at = max(_footer_at(data), _SEAL)
-    return data[at - _SEAL : at] == _digest(data[: at - _SEAL] + data[at:], columns)
+        sync_folder(folder)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def add(self, row: LogRow) -> None:
+        """Append the results of a log, after the files of its own report."""
+        files: Mapping[str, bytes] = row.get("files", {})
+        if files:
+            folder = self.path.parent / row["report"]
+            with translated(folder):
+                folder.mkdir(parents=True, exist_ok=True)
+            for name, data in files.items():
+                with replacing(folder / name) as scratch:
+                    scratch.write_bytes(data)
+        self._append({"log": {name: value for name, value in row.items() if name != "files"}})
+
+    def forget_others(self) -> None:
+        """Remove the files and reports of all other runs."""
+        folder = self.path.parent
+        with translated(folder):
+            for path in folder.glob(FLEET_FILES):
+                if path != self.path:
+                    path.unlink(missing_ok=True)
+            shutil.rmtree(folder / REPORTS, ignore_errors=True)
+
+    def _append(self, content: Mapping[str, object]) -> None:
+        document = {"schema": SCHEMA, "settings": self._settings, **content}
+        text = json.dumps(to_json(document), allow_nan=False).encode()
+        line = b"%08x %s\n" % (zlib.crc32(text), text)
+        with translated(self.path):
+            end = os.fstat(self._file.fileno()).st_size
+            try:
+                written = 0
+                while written < len(line):
+                    written += self._file.write(line[written:])
+                os.fsync(self._file.fileno())
+                # Otherwise a deleted file would take the results of hours.
+                self.path.stat()
+            except BaseException:
+                with suppress(OSError):
+                    self._file.seek(end)
+                    self._file.truncate()
+                raise
 
 
 @contextmanager
-def translated(folder: Path) -> Iterator[None]:
-    """Raise `WriteError` if a folder can't be written."""
+def translated(path: Path) -> Iterator[None]:
+    """Raise `WriteError` if a file or folder can't be written."""
     try:
         yield
     except OSError as error:
         why = error.strerror or error
         fix = Fix("free some space or choose another folder")
-        raise WriteError(f"can't be written: {why}", place=folder, fix=fix) from error
+        raise WriteError(f"can't be written: {why}", place=path, fix=fix) from error

@@ -1,10 +1,17 @@
 """The result of a log for one coefficient: an estimate with limits, a bound, or the squared coefficient."""
 
 import math
+from typing import Any
 
 from scipy.special import ndtri
 
+from imucal.arguments import takes
+from imucal.errors import ArgumentError, DataError, Fix
+from imucal.fitting.noise_fit import NoiseFit
+from imucal.fitting.settings import FitSettings
+from imucal.fitting.spectral.given_model import fit_bins, squared_coefficients
 from imucal.frozen import frozen
+from imucal.noise.terms import ALWAYS
 
 #: Smallest relative width of a square's limits: they may be rounded to the estimate.
 _LEAST = 1e-9
@@ -59,6 +66,9 @@ class LogValue:
         z = float(ndtri((1 + self.level) / 2))
         if self.value is None:
             return self.high**2 / (2 * z)
+        if self.low > 0 < square:
+            # The estimate is normal in the logarithm: its relative error does not depend on its value.
+            return square * max(math.log(self.high / self.low), _LEAST) / z
         return max(self.high**2 - self.low**2, _LEAST * self.high**2) / (2 * z)
 
     def limits(self, level: float) -> tuple[float, float]:
@@ -71,3 +81,50 @@ class LogValue:
             return 0.0, self.high * math.sqrt(ratio)
         low = self.value * (self.low / self.value) ** ratio
         return low, self.value * (self.high / self.value) ** ratio
+
+
+@takes('imucal.log_values("unit-1", report["gyro_x"].fit)', unit=str, fit=NoiseFit)
+def log_values(
+    unit: str,
+    fit: NoiseFit,
+    *,
+    model: str = "N + B + K",
+    level: float = 0.95,
+) -> dict[str, LogValue]:
+    """Return the value of each term in one log, for `imucal.population`, from the bins of its fit.
+
+    `model` must be the same for all logs. Each term except the ramp also has an unbiased estimate of its
+    squared coefficient, which may be negative. The fit needs bins (`NoiseFit.bins`): from `imucal.fit` or
+    `imucal.characterize`; a report.json does not contain them.
+
+    Raises a DataError if the fit has no bins, and a ValueError if `model` is not a sum of terms, or if
+    `level` is not between 0 and 1.
+    """
+    structure = FitSettings(model=model, level=level).structure
+    if structure is None:
+        raise ArgumentError("model 'auto' depends on the record; give the terms, such as 'N + B + K'")
+    if fit.bins is None:
+        advice = "fit the samples with imucal.fit; a report.json contains no bins"
+        problem = f"found no bins in a fit of method {fit.method!r}, expected those of method 'mle'"
+        raise DataError(problem, fix=Fix(advice))
+    # A fit of the same given terms has already found the band, unless it is flat.
+    fraction, poles = (fit.settings.get(name) for name in ("band_fraction", "response_coefficients"))
+    same = fit.criterion == "given" and {e.symbol for e in fit.estimates} == {*structure, *ALWAYS}
+    near = fraction if isinstance(fraction, float) and same and (poles or fraction < 1) else None
+    found = fit_bins(fit.bins, structure, level=level, near=near)
+    laws: dict[str, dict[str, Any]] = {
+        key: {"variance": law.value, "variance_sd": law.deviation, "variance_growth": law.growth}
+        for key, law in squared_coefficients(found).items()
+    }
+    return {
+        e.key: LogValue(
+            unit=unit,
+            value=e.value,
+            low=e.low,
+            high=e.high,
+            level=level,
+            correlation_time=e.correlation_time.value if e.correlation_time else None,
+            **laws.get(e.key, {}),
+        )
+        for e in found.estimates
+    }

@@ -124,11 +124,11 @@ TEXTS = (
         rb"\s*\[\s*\{|\s*\{\s*\"", "JSON in one piece", "write an object in each line, or all rows as CSV"
     ),
 )
-#: File in a folder -> description of the folder, and advice.
-FOLDERS = {
-    "report.json": f"a report of imucal; {_OF_A_REPORT}",
-    "manifest.parquet": "a fleet of imucal; give a log, or run 'imucal fleet report'",
-}
+#: File in a folder without logs -> description of the folder, and advice.
+FOLDERS = {"report.json": f"a report of imucal; {_OF_A_REPORT}"}
+#: Pattern of the files of results in the folder of a fleet.
+FLEET_FILES = "run-*.fleet"
+_A_FLEET = "it is a fleet of imucal; give a log, or run 'imucal fleet report'"
 _OXTS = (
     "it is a folder of KITTI's oxts, with a file for each sample; join the files of data/ to one text with a "
     "row for each sample, and give the columns g=17:20,a=11:14, the units rad/s and m/s^2, and the rate"
@@ -139,6 +139,8 @@ OBJECTS_IN_NPZ = Foreign(b"", "arrays of Python objects", "save them with number
 
 def advice_on_folder(path: Path) -> str:
     """Return the kind of a folder that imucal does not read and the advice, or an empty text."""
+    if any(path.glob(FLEET_FILES)):
+        return _A_FLEET
     return _OXTS if (path / "timestamps.txt").is_file() and (path / "data").is_dir() else ""
 
 

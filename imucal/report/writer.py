@@ -56,16 +56,30 @@ def write_report(
     ValueError
         If a format is unknown.
     """
+    folder = _folder(out)
+    folder.refuse_foreign()
+    return folder.write(
+        report_files(report, formats=formats, html=html, on_finding=on_finding, workers=workers)
+    )
+
+
+def report_files(
+    report: Report,
+    *,
+    formats: Sequence[str] = ("png",),
+    html: bool = True,
+    on_finding: Callable[[Finding], None] | None = None,
+    workers: int | None = None,
+) -> dict[str, bytes]:
+    """Return name -> content of the files of `write_report`, report.json first."""
     from imucal.report.figure import check_format, draw, picture_names
 
     for form in formats:
         check_format(form)
-    folder = _folder(out)
-    folder.refuse_foreign()
     drawings = draw(report, formats, page=html, workers=workers)
     contents = _contents(report, drawings, html=html, on_finding=on_finding or (lambda _: None))
     names = _names(report, picture_names(report, formats))
-    return folder.write({name: contents[name] for name in names if name in contents})
+    return {name: contents[name] for name in names if name in contents}
 
 
 def check_folder(out: str | Path) -> None:

@@ -12,9 +12,9 @@ import time
 import traceback
 from pathlib import Path
 
+from tests.fleet.fault_scenarios import HERE, QUICK, SLOW
+from tests.fleet.faults import Bench
 from tests.fleet.simulated_fleet import make_fleet
-from tests.fleet_run.fault_scenarios import HERE, QUICK, SLOW
-from tests.fleet_run.faults import Bench
 
 
 def main() -> None:
@@ -29,7 +29,7 @@ def main() -> None:
         bench = Bench(Path(folder).resolve())
         make_fleet(bench.folder / "logs", logs=asked.logs, seconds=asked.seconds, seed=9)
         whole = bench.run("whole", *HERE)
-        print(f"undisturbed: exit {whole.code}, {bench.store('whole').logs().height} logs", flush=True)
+        print(f"undisturbed: exit {whole.code}, {len(bench.store('whole').logs())} logs", flush=True)
         failed = 0
         chosen = [f for f in (*QUICK, *SLOW) if not asked.names or f.__name__ in asked.names]
         for fault in (fault for fault in chosen for _ in range(asked.times)):

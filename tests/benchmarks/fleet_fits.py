@@ -20,7 +20,8 @@ import numpy as np
 from scipy.special import ndtri
 
 import imucal
-from imucal.fleet import LogValue, Population, population
+from imucal.fleet.population import Population, population
+from imucal.fleet.values import LogValue
 from tests.fleet.records import RATE, quick_fit
 
 

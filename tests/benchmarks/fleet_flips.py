@@ -7,11 +7,10 @@ command did not exit with code 5 and the name of the file.
 import argparse
 import sys
 import tempfile
-from collections import Counter
 from pathlib import Path
 
-from tests.fleet_report.simulated_store import write_store
-from tests.fleet_run.damage import damages
+from tests.fleet.damage import damages
+from tests.fleet.simulated_store import write_store
 
 
 def main() -> None:
@@ -22,18 +21,10 @@ def main() -> None:
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name).resolve()
-        store = write_store(
-            folder / "fleet", units=4, temperatures=(10.0, 45.0), special=False, bins=4, weak=""
-        )
-        store.keep_settings({"model": "N + B + K", "level": 0.95})
-        from imucal import load_fleet
-
-        load_fleet(store.folder)
-        found = list(damages(store.folder, folder, number=given.number, seed=given.seed))
-    tables = Counter(Path(damage.file).parts[0] for damage in found)
+        fleet = write_store(folder / "fleet", units=4, temperatures=(10.0, 45.0), special=False, weak="")
+        found = list(damages(fleet, folder, number=given.number, seed=given.seed))
     silent = [damage for damage in found if damage.silent]
-    print(f"{len(found)} damages: {', '.join(f'{table} {n}' for table, n in sorted(tables.items()))}")
-    print(f"silent: {len(silent)}")
+    print(f"{len(found)} damages, silent: {len(silent)}")
     for damage in silent:
         print(f"  {damage.file}, {damage.what}, {damage.command}: {damage.output}")
     sys.exit(bool(silent))

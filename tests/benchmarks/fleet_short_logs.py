@@ -7,8 +7,8 @@ the logs.
 """
 
 import argparse
-import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -19,10 +19,14 @@ from typing import Any
 import numpy as np
 import psutil
 
-from tests.benchmarks.bench_fleet import cpu_of_children
 from tests.benchmarks.repeatability import real_axes
 
-RATE, SECONDS, OF_A_UNIT = 100, 10, 10
+#: Sampling rate of the sensor in Hz.
+RATE = 100
+#: Length of a log in s.
+SECONDS = 10
+#: Logs of a unit.
+OF_A_UNIT = 10
 
 
 def make_logs(folder: Path, logs: int) -> None:
@@ -57,15 +61,13 @@ def main() -> None:
         for what in ([*command, "--labels", "{unit}/*.npz"], [*command, "--labels", "{unit}/*.npz"]):
             table = _run(what, folder)
             print(table, flush=True)
-        document = json.loads((folder / "fleet" / "fleet.json").read_text(encoding="utf-8"))
-        print(json.dumps(document.get("counts", {}), indent=1))
-        size = sum(path.stat().st_size for path in (folder / "fleet").rglob("*.parquet"))
+        size = sum(path.stat().st_size for path in (folder / "fleet").glob("run-*.fleet"))
         print(f"store {size / 1e6:.0f} MB; load {os.getloadavg()[0]:.1f}")
 
 
 def _run(command: list[str], folder: Path) -> str:
     """Run a command to its end; return CPU, time, memory and its output."""
-    begun, before, most, alone = time.perf_counter(), cpu_of_children(), 0, 0
+    begun, before, most, alone = time.perf_counter(), _cpu_of_children(), 0, 0
     with subprocess.Popen(  # noqa: S603 - this very imucal
         command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     ) as process:
@@ -79,11 +81,17 @@ def _run(command: list[str], folder: Path) -> str:
             most, alone = max(most, sum(memory)), max(alone, memory[0])
             time.sleep(0.5)
         output = process.stdout.read() if process.stdout else ""
-    used = cpu_of_children() - before
+    used = _cpu_of_children() - before
     return (
         f"exit {process.returncode}, {used:.1f} s of CPU, {time.perf_counter() - begun:.1f} s, the command "
         f"{alone / 1e6:.0f} MB, all processes {most / 1e6:.0f} MB\n{output}"
     )
+
+
+def _cpu_of_children() -> float:
+    """Return the CPU time of all ended child processes, in s."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 if __name__ == "__main__":

@@ -15,7 +15,8 @@ import warnings
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from imucal.fleet import LogValue, Population, population
+from imucal.fleet.population import Population, population
+from imucal.fleet.values import LogValue
 from tests.fleet.simulated import strong_fleet, weak_fleet
 
 #: Kind, units, logs, tau, error, omega.

@@ -86,7 +86,7 @@ def test_a_check_has_its_own_code_if_its_output_is_read(tmp_path: Path) -> None:
             "calibration.json",
             "to write a config file from a calibration, type 'imucal export cal --to kalibr'",
         ),
-        ("units", "manifest.parquet", "to print the state of a fleet, type 'imucal fleet status units'"),
+        ("units", "run-1.fleet", "to print the state of a fleet, type 'imucal fleet status units'"),
         ("imu.yaml", "", "expected one of info, fit, "),
         ("log.csv", "", "to fit a log, type 'imucal fit log.csv'"),
     ],
@@ -106,7 +106,7 @@ def test_a_path_instead_of_a_command_is_answered_by_what_it_is(
 
 def test_a_fleet_instead_of_a_command_of_fleets_is_not_run_again(tmp_path: Path) -> None:
     (tmp_path / "units").mkdir()
-    (tmp_path / "units" / "manifest.parquet").write_bytes(b"PAR1")
+    (tmp_path / "units" / "run-1.fleet").touch()
     assert "type 'imucal fleet status units'" in run("fleet", "units", cwd=tmp_path).stderr
 
 

@@ -8,7 +8,7 @@ import pytest
 
 import imucal
 from tests.cli.run import run
-from tests.fleet_report.simulated_store import TERMS, write_store
+from tests.fleet.simulated_store import TERMS, write_store
 
 pytestmark = pytest.mark.usefixtures("pictures_are_blank")
 
@@ -18,12 +18,18 @@ NAMES = ("gyro_x", "accel_z")
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a working folder with two fleets of eight units, and logs of a unit like them and of another."""
+    """Return a working folder with three fleets of eight units, and logs of a like and of an unlike unit."""
     place = tmp_path_factory.mktemp("fleets")
-    for name, seed in (("fleet", 3), ("later", 4)):
+    # The second model has 1.5 times the noise of the first.
+    for name, seed, models in (
+        ("fleet", 3, ("ACME-6",)),
+        ("later", 4, ("ACME-6",)),
+        ("louder", 5, ("BOLT-9", "ACME-6")),
+    ):
         write_store(
             place / name,
             units=8,
+            models=models,
             seed=seed,
             special=False,
             failures=False,
@@ -73,7 +79,7 @@ def test_report_lists_what_is_missing(folder: Path, monkeypatch: pytest.MonkeyPa
         raise ArithmeticError(msg)
 
     monkeypatch.delenv("IMUCAL_DEBUG", raising=False)
-    monkeypatch.setattr("imucal.fleet_report.files.render_fleet_page", broken)
+    monkeypatch.setattr("imucal.fleet.files.render_fleet_page", broken)
     (folder / "two" / "fleet.html").write_text("of yesterday")
     done = run("fleet", "report", "two", "--no-pictures", cwd=folder)
     assert done.stdout.split() == ["two/fleet.json", "two/fleet.csv"]
@@ -147,6 +153,9 @@ def test_two_fleets_are_compared(folder: Path) -> None:
     assert done.returncode == 0, done.stdout
     assert "no significant difference (p adjusted for 6 tests" in done.stdout
     assert done.stderr == "A: fleet\nB: later\n"
+    louder = run("compare", "fleet", "louder", "--sensor", "ACME-6", cwd=folder)
+    assert louder.returncode == 1
+    assert "5 of 6 terms differ" in louder.stdout
 
 
 def test_a_log_is_asked_whether_it_is_one_of_the_fleet(folder: Path) -> None:

@@ -9,9 +9,9 @@ import pytest
 
 from imucal.cli._fleet import print_plan
 from imucal.errors import WriteError
-from imucal.fleet.store import FleetStore
-from imucal.fleet_run import FleetPlan, LogTask
-from imucal.fleet_run.plan import LEVEL, MODEL
+from imucal.fleet.logs import LogTask
+from imucal.fleet.plan import LEVEL, MODEL, FleetPlan
+from imucal.fleet.store import read_store
 from tests.cli.run import run
 from tests.fleet.simulated_fleet import make_fleet
 
@@ -39,32 +39,56 @@ def done(logs: Path) -> Path:
 
 
 def test_every_log_has_its_results_and_labels(done: Path) -> None:
-    """Seven logs of one axis and three terms, and as many binned spectra as axes."""
-    store = FleetStore(done / "fleet")
-    results = store.results()
-    assert results.height == 7 * 3
-    assert store.bins().height == 7
-    assert sorted(set(results["model"])) == ["alpha", "beta", "gamma"]
-    assert sorted(set(results["unit"])) == ["u00", "u01", "u02"]
-    assert set(results.filter(term="N", sensor="gyroscope")["unit_si"]) == {"rad/s/sqrt(Hz)"}
-    logs = store.logs()
-    assert set(logs["temperature_c"]) == {15.0}
-    assert {started[:10] for started in logs["started"].drop_nulls()} == {"2026-01-01"}
-    failed = logs.filter(status="unreadable")
-    assert failed["content"][0]
-    assert not failed["reason"][0].startswith("logs/")
-    assert set(logs["samples"].drop_nulls()) == {2000}
-    assert logs.filter(status="ok")["seconds"].to_list() == pytest.approx([20.0] * 7)
+    """Seven logs have one axis and three terms, and the failed log has a reason without its path."""
+    logs = read_store(done / "fleet").logs()
+    (failed,) = [row for row in logs if row["status"] == "unreadable"]
+    assert failed["path"] == "logs/beta/u02/15C/log0007.npz"
+    assert failed["terms"] == []
+    assert failed["reason"].startswith("not a readable NPZ file: ")
+    good = [row for row in logs if row["status"] == "ok"]
+    assert {tuple(value["term"] for value in row["terms"]) for row in good} == {("N", "B", "K")}
+    assert {(value["sensor"], value["axis"]) for row in good for value in row["terms"]} == {
+        ("gyroscope", "x")
+    }
+    assert sorted({row["model"] for row in good}) == ["alpha", "beta", "gamma"]
+    assert sorted({row["unit"] for row in good}) == ["u00", "u01", "u02"]
+    assert {(row["temperature_c"], row["started"][:10], row["samples"]) for row in good} == {
+        (15.0, "2026-01-01", 2000)
+    }
+    assert [row["seconds"] for row in good] == pytest.approx([20.0] * 7)
+
+
+def test_a_finished_run_writes_the_report(done: Path) -> None:
+    """Only the page is printed."""
+    document = json.loads((done / "fleet" / "fleet.json").read_text(encoding="utf-8"))
+    assert document["logs"] == {"asked": 8, "done": 8, "counted": 7}
+    assert [model["name"] for model in document["models"]] == ["alpha", "beta", "gamma"]
+    again = run("fleet", "run", "-o", "fleet", "--max-failed", "20%", "-q", cwd=done)
+    assert again.stdout.splitlines()[2:] == [str(done / "fleet" / "fleet.html")]
+
+
+def test_a_fleet_does_not_take_its_own_files_as_logs(done: Path, tmp_path: Path) -> None:
+    """Its table and the reports of its logs look like logs."""
+    shutil.copytree(done / "logs" / "alpha" / "u00", tmp_path / "logs")
+    first = run("fleet", "run", ".", "-o", "fleet", "--reports", "all", "--shard", "1/1", cwd=tmp_path)
+    assert first.stdout.startswith("fleet: 1 log done: ")
+    assert (tmp_path / "fleet" / "fleet.csv").is_file()
+    assert [*(tmp_path / "fleet" / "reports").glob("*/*.json")]
+    again = run("fleet", "run", ".", "-o", "fleet", "--dry-run", cwd=tmp_path)
+    assert again.stdout == "done\t./logs/15C/log0000.npz\n"
+    inside = run("fleet", "run", ".", "--dry-run", cwd=tmp_path / "fleet")
+    assert inside.returncode == 3
+    assert "no log in this folder" in inside.stderr
 
 
 def test_the_same_command_again_does_nothing_twice(done: Path) -> None:
     """A command with only the folder does nothing either."""
-    parts = sorted((done / "fleet" / "logs").iterdir())
+    rows = read_store(done / "fleet").rows
     for arguments in (("logs", *LABELS), ()):
         again = run("fleet", "run", *arguments, "--shard", "1/1", "--max-failed", "20%", cwd=done)
         assert again.returncode == 0, again.stderr
         assert again.stderr.startswith("0 logs to do, 0 kB; 8 already done\n")
-    assert sorted((done / "fleet" / "logs").iterdir()) == parts
+    assert read_store(done / "fleet").rows == rows
 
 
 def test_status_reports_it_too(done: Path) -> None:
@@ -140,7 +164,7 @@ def test_a_report_that_cannot_be_written_ends_with_5(
         raise WriteError(msg)
 
     shutil.copytree(done, tmp_path / "copy", ignore=shutil.ignore_patterns("fleet.*"))
-    monkeypatch.setattr("imucal.fleet_report.write_fleet", full)
+    monkeypatch.setattr("imucal.fleet.files.write_fleet", full)
     ended = run("fleet", "run", "-o", "fleet", "--max-failed", "20%", "-q", cwd=tmp_path / "copy")
     assert ended.returncode == 5
     assert ended.stderr.startswith(
@@ -166,9 +190,11 @@ def test_two_shards_do_all_of_it(done: Path) -> None:
         ended = run("fleet", "run", "logs", "-o", "halves", *LABELS, "--shard", shard, cwd=done)
         assert ended.stdout.startswith("halves: 4 logs done: ")
         assert ended.returncode == code
-    one, two = FleetStore(done / "fleet"), FleetStore(done / "halves")
-    assert one.results().equals(two.results())
-    assert one.bins().equals(two.bins())
+    one, two = (
+        [(row["path"], row["key"], row["status"], row["terms"]) for row in read_store(done / name).logs()]
+        for name in ("fleet", "halves")
+    )
+    assert one == two
 
 
 def test_nothing_readable_ends_with_3(tmp_path: Path) -> None:
@@ -235,7 +261,7 @@ def test_status_of_what_is_no_fleet(tmp_path: Path) -> None:
     """The exit code is 3, and the message contains the expected content."""
     ended = run("fleet", "status", "nowhere", cwd=tmp_path)
     assert ended.returncode == 3
-    assert "no such file; expected the folder of a fleet, written by imucal fleet run" in ended.stderr
+    assert "no such folder; expected the folder of a fleet, written by imucal fleet run" in ended.stderr
 
 
 def test_a_mistyped_command_of_the_group(tmp_path: Path) -> None:

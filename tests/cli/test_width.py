@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from imucal.cli._printing import fleet_progress, width, wrapped
-from imucal.fleet_run.running import RunCount
+from imucal.fleet.running import RunCount
 from tests.cli.reports import write_report
 from tests.cli.run import SAMPLE_LOGS, run
 

@@ -9,7 +9,6 @@ import pytest
 import imucal
 from imucal.arrays import FloatArray
 from imucal.fitting import METHODS, NoiseFit
-from imucal.fitting.bins import pack, unpack
 from imucal.fitting.regressors import SHAPES, Ramp, Regressor
 from imucal.fitting.spectral.blocks import bins_of, make_blocks
 from imucal.fitting.spectral.given_model import fit_bins
@@ -200,7 +199,7 @@ def test_a_new_regressor_needs_only_a_name_and_samples(monkeypatch: pytest.Monke
     fits = []
     for regressors in ((Ramp(), kink), (Ramp(),)):
         bins = bins_of(blocks.binned(regressors), blocks, tau0=series.tau0, widening=1.0)
-        fits.append(fit_bins([unpack(pack(bins))], ("N", "K"), level=0.95))
+        fits.append(fit_bins(bins, ("N", "K"), level=0.95))
     removed, left = fits
     assert removed.problem.ordinates.regressors == (Ramp(), kink)
     assert removed.whole.beta[0, 1] * blocks.scale == pytest.approx(slope, rel=0.02)

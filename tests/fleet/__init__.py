@@ -1,1 +1,1 @@
-"""Tests."""
+"""Reports of fleets."""

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from imucal.arrays import FloatArray
-from imucal.fleet import LogValue
+from imucal.fleet.values import LogValue
 
 Z = float(ndtri(0.975))
 

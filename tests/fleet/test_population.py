@@ -8,10 +8,11 @@ import pytest
 from scipy import stats
 from scipy.special import ndtr, ndtri
 
-from imucal.fleet import LogValue, population
 from imucal.fleet.groups import find_groups
-from imucal.fleet.population import membership
+from imucal.fleet.population import membership, population
 from imucal.fleet.tolerance import tolerance_factor
+from imucal.fleet.values import LogValue
+from imucal.multiple_tests import holm
 from tests.fleet.simulated import strong_fleet, two_batches, weak_fleet
 
 
@@ -314,3 +315,59 @@ def test_limits_of_other_levels_are_converted() -> None:
     (unit,) = population([narrow]).units
     assert unit.high == pytest.approx(math.exp(0.1959964))
     assert unit.low == pytest.approx(math.exp(-0.1959964))
+
+
+@pytest.mark.parametrize(("omega", "error"), [(0.0, 0.05), (0.1, 0.03), (0.2, 0.1)])
+def test_logs_of_a_unit_seldom_differ_by_chance(omega: float, error: float) -> None:
+    """At most 7 % of 200 fleets of ten units have a false alarm, also if logs scatter."""
+    rng = np.random.default_rng([61141, round(100 * omega)])
+    alarms = 0
+    for _ in range(200):
+        fleet = strong_fleet(rng, units=10, logs=3, tau=0.2, error=error, omega=omega)
+        p_values = [unit.p_logs or 0.0 for unit in population(fleet).units]
+        alarms += min(holm(p_values)) <= 0.05
+    assert alarms <= 14
+
+
+@pytest.mark.parametrize("omega", [0.0, 0.02])
+def test_a_log_that_differs_is_found(omega: float) -> None:
+    """It is 30 % larger than the other logs of its unit, and only this unit is found."""
+    rng = np.random.default_rng([61142, round(100 * omega)])
+    found = []
+    for _ in range(20):
+        *fleet, last = strong_fleet(rng, units=10, logs=3, tau=0.2, error=0.02, omega=omega)
+        larger = replace(last, value=1.3 * (last.value or 0), low=1.3 * last.low, high=1.3 * last.high)
+        units = population([*fleet, larger]).units
+        p_values = holm([unit.p_logs or 0.0 for unit in units])
+        found.append([unit.unit for unit, p in zip(units, p_values, strict=True) if p <= 0.05])
+    assert sum("u9" in units for units in found) >= 19
+    assert sum(len(units) > 1 for units in found) <= 3
+
+
+def test_logs_of_few_units_are_compared_by_their_errors() -> None:
+    """For fewer than four degrees of freedom of other units, it is Cochran's test of equal squares."""
+    rng = np.random.default_rng(61143)
+    squares = 1 + 0.1 * rng.standard_normal(6)
+    logs = [
+        LogValue(unit=f"u{i // 3}", value=1.0, low=0.9, high=1.1, variance=float(square), variance_sd=0.1)
+        for i, square in enumerate(squares)
+    ]
+    for number, unit in enumerate(population(logs).units):
+        own = squares[3 * number : 3 * number + 3]
+        exact = stats.chi2.sf(float(np.sum((own - own.mean()) ** 2)) / 0.1**2, 2)
+        assert unit.p_logs == pytest.approx(exact, rel=1e-9)
+    assert population([logs[0], *logs[3:]]).units[0].p_logs is None
+    odd = replace(logs[0], variance=2.0)
+    first, second = population([odd, *logs[1:]]).units
+    assert (first.p_logs or 1.0) < 1e-6
+    assert second.p_logs == population(logs).units[1].p_logs
+
+
+def test_logs_are_compared_with_those_of_other_units() -> None:
+    """For exact logs, it is the F test of the scatter in a unit and in all other units."""
+    fleet = strong_fleet(np.random.default_rng(61144), units=6, logs=3, tau=0.2, error=1e-7, omega=0.1)
+    y = np.log([log.value or math.nan for log in fleet]).reshape(6, 3)
+    squares = np.sum((y - y.mean(axis=1, keepdims=True)) ** 2, axis=1)
+    for unit, own in zip(population(fleet).units, squares, strict=True):
+        others = float(squares.sum() - own) / 10
+        assert unit.p_logs == pytest.approx(stats.f.sf(float(own) / 2 / others, 2, 10), rel=1e-5)

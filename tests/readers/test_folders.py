@@ -116,7 +116,7 @@ def test_a_folder_without_logs_is_refused(tmp_path: Path) -> None:
             "report.json",
             "is a report of imucal; expected a log; to use the report run 'imucal export REPORT",
         ),
-        ("manifest.parquet", "is a fleet of imucal; give a log, or run 'imucal fleet report'"),
+        ("run-1.fleet", "it is a fleet of imucal; give a log, or run 'imucal fleet report'"),
     ],
 )
 def test_a_folder_written_by_imucal_is_recognised(file: str, message: str, tmp_path: Path) -> None:

@@ -5,9 +5,8 @@ from typing import Any
 
 import pytest
 
-from imucal.fleet.store import FleetStore
-from imucal.fleet_run.logs import content_at, edge_at
-from imucal.remote.stores import identify
+from imucal.fleet.identity import identity_of
+from imucal.fleet.store import read_store
 from tests.cli.run import run
 from tests.remote.one_axis import OPTIONS, one_axis
 from tests.remote.web_server import WebServer
@@ -28,11 +27,9 @@ def test_a_fleet_in_a_bucket_is_processed(bucket: Any, tmp_path: Path, cache: Pa
     logs = "s3://logs/mems/*/still.csv"
     done = run("fleet", "run", logs, *LABELS, *HOW, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    store = FleetStore(tmp_path / "fleet")
-    results = store.results()
-    assert set(zip(results["model"], results["unit"], results["path"], strict=True)) == {
+    assert [(row["model"], row["unit"], row["path"]) for row in read_store(tmp_path / "fleet").logs()] == [
         ("mems", unit, f"s3://logs/mems/{unit}/still.csv") for unit in ("u1", "u2")
-    }
+    ]
     assert list(cache.iterdir()) == []
     again = run("fleet", "run", logs, *LABELS, *HOW, cwd=tmp_path)
     assert again.stderr.startswith("0 logs to do, 0 kB; 2 already done\n")
@@ -53,17 +50,13 @@ def test_signed_urls_of_a_list_leave_no_query(web: WebServer, tmp_path: Path) ->
     text = "\n".join(f"{url}?sig=SECRET" for url in urls)
     done = run("fleet", "run", "-", *HOW, "--max-failed", "50%", cwd=tmp_path, text=text)
     assert done.returncode == 0, done.stderr
-    store = FleetStore(tmp_path / "fleet")
-    assert sorted(store.manifest()["path"]) == sorted(urls)
-    logs = store.logs()
-    assert sorted(logs["status"]) == ["ok", "ok", "unreadable"]
-    reasons = [reason for reason in logs["reason"] if reason]
-    assert reasons == ["there is no such object (404); check the address"]
-    outputs = [
-        done.stdout,
-        done.stderr,
-        *(str(frame.rows()) for frame in (store.manifest(), logs, store.results())),
+    store = read_store(tmp_path / "fleet")
+    assert sorted(store.asked) == sorted(urls)
+    assert [(row["status"], row["reason"]) for row in store.logs()] == [
+        *[("ok", "")] * 2,
+        ("unreadable", "there is no such object (404); check the address"),
     ]
+    outputs = [done.stdout, done.stderr]
     outputs += [path.read_text("latin-1") for path in (tmp_path / "fleet").rglob("*") if path.is_file()]
     assert not any("SECRET" in text for text in outputs)
     twice = run("fleet", "run", f"{urls[0]}?id=1", f"{urls[0]}?id=2", *HOW, cwd=tmp_path)
@@ -76,16 +69,28 @@ def test_a_manifest_can_contain_urls(web: WebServer, tmp_path: Path) -> None:
     (tmp_path / "units.csv").write_text(f"path,unit\n{url}?sig=SECRET,u7\n", encoding="utf-8")
     done = run("fleet", "run", "--manifest", "units.csv", *HOW, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    results = FleetStore(tmp_path / "fleet").results()
-    assert (results["path"][0], results["unit"][0]) == (url, "u7")
+    (row,) = read_store(tmp_path / "fleet").logs()
+    assert (row["path"], row["unit"]) == (url, "u7")
 
 
-def test_a_remote_log_has_the_checksums_of_its_file(web: WebServer, tmp_path: Path) -> None:
-    """A local log and its remote copy must be recognised as equal."""
+def test_a_remote_log_is_identified_without_reading_it(web: WebServer) -> None:
+    """By its ETag and size; a server without an ETag is asked for both ends."""
+    body = one_axis() * 9
+    first, same, other = (web.add(f"/{tag}{n}.csv", body, etag=tag) for n, tag in enumerate("aab"))
+    longer = web.add("/longer.csv", body + b"1", etag="a")
+    assert identity_of(first) == identity_of(same)
+    assert len({identity_of(url) for url in (first, other, longer)}) == 3
+    assert not [part for part in web.parts if part != "bytes=0-0"]
+
+
+def test_a_remote_log_without_an_etag_has_the_identity_of_its_file(web: WebServer, tmp_path: Path) -> None:
+    """A local log and its remote copy are equal."""
     body = one_axis() * 9
     (tmp_path / "a.csv").write_bytes(body)
-    url = web.add("/a.csv", body)
-    assert edge_at(url) == edge_at(str(tmp_path / "a.csv"))
-    assert web.parts == ["bytes=0-65535", f"bytes={len(body) - 65536}-{len(body) - 1}"]
-    assert content_at(url) == content_at(str(tmp_path / "a.csv"))
-    assert identify(url).size == len(body)
+    url = web.add("/a.csv", body, etag=None)
+    found = identity_of(url)
+    assert found == identity_of(str(tmp_path / "a.csv"))
+    assert found is not None
+    assert found.size == len(body)
+    assert {"bytes=0-65535", f"bytes={len(body) - 65536}-{len(body) - 1}"} <= set(web.parts)
+    assert identity_of(f"{web.url}/none.csv") is None

@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from unittest import mock
 
-from imucal.fleet_report import files
+from imucal.fleet import files
 from imucal.report import figure
 
 __all__ = ["blank_pictures"]

@@ -442,24 +442,3 @@ def ordinates_of(bins: Bins) -> Ordinates:
     joint: dict[str, Any] = {name: np.concatenate([s[name] for s in shapes], axis=-1) for name in shapes[0]}
     stored = {name: getattr(bins, name) for name in ("scale", *_KEPT)}
     return Ordinates(regressors=tuple(map(parse, bins.names)), **joint, **stored)
-
-
-def joined(records: Sequence[Ordinates]) -> Ordinates:
-    """Return the ordinates of several records as if of one record: their likelihoods multiply.
-
-    The records share the ramp. Each other regressor belongs to one record; two records may have equal ones.
-    """
-    regressors = (Ramp(), *(shape for one in records for shape in one.regressors[1:]))
-    number = len(regressors)
-    parts, first = [], 1
-    for one in records:
-        ratio, own = one.scale / records[0].scale, len(one.regressors) - 1
-        rows = np.array([0, *range(first, first + own)])
-        cross = np.zeros((number, one.size.size))
-        gram = np.zeros((number, number, one.size.size))
-        cross[rows] = one.cross * ratio
-        gram[np.ix_(rows, rows)] = one.gram
-        power = one.power * ratio**2
-        parts.append(replace(one, regressors=regressors, power=power, cross=cross, gram=gram))
-        first += own
-    return replace(Ordinates.joined(parts), scale=records[0].scale)

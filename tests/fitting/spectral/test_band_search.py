@@ -15,7 +15,6 @@ from imucal.fitting.spectral.disturbances.band_search import (
     _coarse,
     _Trial,
     find_band,
-    flat_band,
 )
 from imucal.fitting.spectral.disturbances.hump import Hump
 from imucal.fitting.spectral.models import SHORTEST_GIVEN, Structure
@@ -53,7 +52,6 @@ def test_noise_is_flat() -> None:
         data = ordinates_of(simulated(text, N, seed))
         found = find_band(data, RICH)
         assert found.flat
-        assert flat_band(data, RICH) is not None
 
 
 @pytest.mark.parametrize("name", [name for name in FILTERS if name != "resonance"])

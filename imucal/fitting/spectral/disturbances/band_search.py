@@ -108,18 +108,6 @@ def find_band(
     return _lowered(coarse, plain, [near] if near else list(EDGES), rounding)
 
 
-def flat_band(
-    ordinates: Ordinates,
-    rich: Structure,
-    *,
-    given: Structure | None = None,
-    rounding: Rounding = _no_rounding,
-) -> Band | None:
-    """Return the whole spectrum without a bend, or None if the data need one."""
-    flat = _flat(_coarse(ordinates), rich, given=given, rounding=rounding)
-    return flat.band() if flat else None
-
-
 def _coarse(ordinates: Ordinates) -> Ordinates:
     return coarser(ordinates.below(1.0), singles=48, merge=3)
 
