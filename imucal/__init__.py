@@ -23,10 +23,12 @@ from imucal.resources import limit_pools
 if TYPE_CHECKING:
     from imucal.allan import AllanCurve, Spectrum, allan_curve, spectrum
     from imucal.calibration import Calibration, calibrate
+    from imucal.calibration.applying import apply
+    from imucal.calibration.intrinsics_files import load_calibration
     from imucal.clock import Clock
     from imucal.comparison import compare
     from imucal.errors import ChoiceError, DataError, ImucalError, ReadError, WriteError
-    from imucal.facade import check, export, fit, info, simulate
+    from imucal.facade import check, export, fit, info, sensor, simulate
     from imucal.findings import Finding
     from imucal.fitting.decomposition import Decomposition, decompose
     from imucal.fitting.noise_fit import NoiseFit
@@ -45,30 +47,33 @@ if TYPE_CHECKING:
     from imucal.readers import read
     from imucal.recording import AxisSeries, Recording, Sensor
     from imucal.report import AxisReport, Report, load_report, write_report
-    from imucal.report.given import model_as_report
+    from imucal.report.given import model_as_report, part_as_report
     from imucal.report.plotting import plot
     from imucal.rests import at_rest
+    from imucal.sensors import Part
 
 __all__ = [
     "AllanCurve", "AxisReport", "AxisSeries", "Calibration", "ChoiceError", "Clock", "DataError",
-    "Decomposition", "Drift", "FilterNumbers", "Finding", "Fleet", "FleetTerm", "ImucalError",
-    "LogValue", "NoiseFit", "NoiseModel", "NoiseVerdict", "Population", "ReadError",
-    "Recording", "Report", "Sensor", "SensorModel", "Settings", "Spectrum", "WriteError", "__version__",
-    "allan_curve", "at_rest", "avar_from_acvf", "avar_from_psd", "calibrate", "characterize", "check",
-    "check_fleet", "compare", "decompose", "drift", "export", "filter_numbers", "fit",
-    "fleet_as_report", "info", "load_fleet", "load_report", "log_values", "model_as_report", "plan",
-    "plot", "population", "read", "run_fleet", "screen", "simulate", "spectrum", "write_fleet",
-    "write_report",
+    "Decomposition", "Drift", "FilterNumbers", "Finding", "Fleet", "FleetTerm", "ImucalError", "LogValue",
+    "NoiseFit", "NoiseModel", "NoiseVerdict", "Part", "Population", "ReadError", "Recording", "Report",
+    "Sensor", "SensorModel", "Settings", "Spectrum", "WriteError", "__version__", "allan_curve", "apply",
+    "at_rest", "avar_from_acvf", "avar_from_psd", "calibrate", "characterize", "check", "check_fleet",
+    "compare", "decompose", "drift", "export", "filter_numbers", "fit", "fleet_as_report", "info",
+    "load_calibration", "load_fleet", "load_report", "log_values", "model_as_report", "part_as_report",
+    "plan", "plot", "population", "read", "run_fleet", "screen", "sensor", "simulate", "spectrum",
+    "write_fleet", "write_report",
 ]  # fmt: skip
 
 _HOMES = {
     "allan": "AllanCurve Spectrum allan_curve spectrum",
     "calibration": "Calibration calibrate",
+    "calibration.applying": "apply",
+    "calibration.intrinsics_files": "load_calibration",
     "clock": "Clock",
     "comparison": "compare",
     "errors": "ChoiceError DataError ImucalError ReadError WriteError",
     "findings": "Finding",
-    "facade": "check export fit info simulate",
+    "facade": "check export fit info sensor simulate",
     "fitting": "NoiseFit",
     "fitting.decomposition": "Decomposition decompose",
     "fleet.as_report": "check_fleet fleet_as_report",
@@ -87,8 +92,9 @@ _HOMES = {
     "recording": "AxisSeries Recording Sensor",
     "rests": "at_rest",
     "report": "AxisReport Report load_report write_report",
-    "report.given": "model_as_report",
+    "report.given": "model_as_report part_as_report",
     "report.plotting": "plot",
+    "sensors": "Part",
 }
 
 # Now, because libraries read the number of threads only once.

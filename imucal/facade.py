@@ -15,7 +15,7 @@ from imucal.allan import AllanCurve
 from imucal.arguments import takes
 from imucal.arrays import FloatArray
 from imucal.calibration import Calibration
-from imucal.calibration.document import CalibrationDocument, load_calibration, to_document
+from imucal.calibration.document import CalibrationDocument, load_document, to_document
 from imucal.calibration.document import from_document as calibration_of
 from imucal.calibration.exports import export_calibration
 from imucal.calibration.writer import is_calibration
@@ -35,13 +35,14 @@ from imucal.report.exports import refuse_unsound
 from imucal.report.exports.config_numbers import AxisPolicy, Basis, ExportOptions, Unidentified
 from imucal.report.json_file import load
 from imucal.report.result import Report
+from imucal.sensors import Part, find_sensor
 from imucal.units import G0
 from imucal.user_input import seconds_of
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-__all__ = ["check", "export", "fit", "info", "simulate"]
+__all__ = ["check", "export", "fit", "info", "sensor", "simulate"]
 
 
 _ONE_AXIS = 'for one axis type imucal.fit(recording["gyro_x"])'
@@ -274,7 +275,7 @@ def _calibration(report: object) -> CalibrationDocument | None:
     if isinstance(report, Calibration):
         return calibration_of(to_document(report))
     if isinstance(report, str | Path) and is_calibration(Path(report)):
-        return load_calibration(Path(report))
+        return load_document(Path(report))
     return None
 
 
@@ -355,3 +356,21 @@ def info(log: str | Path) -> LogContents:
         If the file is missing, damaged beyond reading or of an unknown format.
     """
     return describe(log)
+
+
+@takes('imucal.sensor("BMI088")', name=str)
+def sensor(name: str) -> Part:
+    """Return a part with the noise figures of its data sheet, such as ``sensor("BMI088")``.
+
+    Parameters
+    ----------
+    name
+        Of a part or of a device that contains one, such as ``BMI088``, ``mpu 6050`` or ``RealSense D435i``;
+        case, spaces and punctuation do not matter.
+
+    Raises
+    ------
+    ChoiceError
+        If there is no such part, or a device contains several; the message lists similar names.
+    """
+    return find_sensor(name)

@@ -39,7 +39,9 @@ OF_ALL_AXES = frozenset({"motion", "touch", "duplicate-axes", "swapped-sensors",
 DISTURBED = frozenset({"motion", "touch"})
 
 #: Doubts about a unit: the noise may still be stationary.
-_OF_UNITS = frozenset({"unit-suspect", "unit-given", "unit-assumed"})
+_OF_UNITS = frozenset({"unit-suspect", "unit-of-sensor", "unit-given", "unit-assumed"})
+#: Of these, the ones that name a better unit.
+_BETTER_UNIT = frozenset({"unit-suspect", "unit-of-sensor"})
 
 #: Use the numbers in spite of the verdict.
 FORCE = Fix("force it", "force")
@@ -94,7 +96,7 @@ def unit_fix(findings: Iterable[Finding], reading: Mapping[str, object]) -> Fix 
     """Return the unit or scale to give if a unit looks wrong; None if it was given in `reading`."""
     for finding in findings:
         fix = finding.fix
-        if finding.code != "unit-suspect" or fix is None:
+        if finding.code not in _BETTER_UNIT or fix is None:
             continue
         given = reading.get(fix.argument)
         # X is any scale.

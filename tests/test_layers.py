@@ -38,19 +38,22 @@ BELOW |= {
     "screening": BASE,
     "allan": BASE,
     "noise": BASE,
+    "sensors": BASE | {"noise"},
     "fitting": BASE | {"allan", "noise", "screening"},
     "simulation": BASE | {"noise"},
     "prediction": BASE | {"allan", "noise", "fitting"},
-    "report": BASE | {"allan", "noise", "fitting", "prediction"},
+    "report": BASE | {"allan", "noise", "sensors", "fitting", "prediction"},
 }
 BELOW["rests"] = BASE | {"screening"}
-BELOW["planning"] = BASE | {"allan", "noise", "fitting", "prediction", "report"}
+BELOW["planning"] = BELOW["report"] | {"report"}
 BELOW["comparison"] = BELOW["planning"]
+BELOW["sheet_comparison"] = BELOW["planning"] | {"screening"}
 BELOW["calibration"] = BELOW["planning"] | {"screening"}
 BELOW["checking"] = BELOW["planning"] | {"comparison", "calibration"}
 BELOW["advice"] = BASE | {"screening", "rests", "report"}
 BELOW["pipeline"] = BELOW["planning"] | {"screening", "planning", "advice"}
 BELOW["fleet"] = BELOW["pipeline"] | {"pipeline", "checking", "readers", "remote"}
+BELOW["correction"] = BASE | {"calibration", "readers"}
 BELOW["facade"] = BELOW["fleet"] | {"calibration", "checking", "fleet", "simulation"}
 BELOW["cli"] = set(BELOW) | {"cli"}
 BELOW["__main__"] = {"cli"}

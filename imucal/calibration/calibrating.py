@@ -26,6 +26,7 @@ from imucal.calibration.parameters import accelerometer_parameters, gyroscope_pa
 from imucal.calibration.poses import (
     RestMeans,
     Triad,
+    at_other_times,
     attitudes,
     find_rests,
     half_differences,
@@ -41,7 +42,7 @@ from imucal.calibration.requirements import (
     trouble_of,
     unusable_turns,
 )
-from imucal.calibration.result import AccelerometerResult, Calibration, GyroscopeResult, Rest, at_other_times
+from imucal.calibration.result import AccelerometerResult, Calibration, GyroscopeResult, Rest
 from imucal.calibration.slow_noise import AccelerometerEstimate, estimate_accelerometer, walk_covariance
 from imucal.calibration.turn_data import Headings, Turn, TurnData, prepare_turns, start_of
 from imucal.calibration.turns import GyroNoise, TurnsFit, direction_covariance, fit_turns

@@ -26,7 +26,8 @@ __all__ = [
     "CalibrationDocument",
     "Intrinsics",
     "from_document",
-    "load_calibration",
+    "intrinsics_of",
+    "load_document",
     "load_intrinsics",
     "schema",
     "to_document",
@@ -54,6 +55,7 @@ def to_document(found: Calibration) -> JsonObject:
         "source": picked(found.source, "path format topics message_types"),
         "gravity": picked(found.gravity, "value sigma origin"),
         "frame": found.frame,
+        "log_frame": found.source.values.get("frame", ""),
         "accelerometer": _accelerometer(found.accelerometer),
         "gyroscope": found.gyroscope and _gyroscope(found.gyroscope),
         "temperature": to_json(temperature),
@@ -157,6 +159,7 @@ class CalibrationDocument:
     rests: tuple[RestEntry, ...]
     turns: tuple[TurnEntry, ...]
     findings: tuple[Finding, ...]
+    log_frame: str = ""
 
 
 @frozen_alone
@@ -166,7 +169,8 @@ class Intrinsics(ReadOnlyArrays):
     `diagonal_C` and `diagonal_b` are the best fit without misalignment. C_g is None if no turn could be used.
     `said_si` is whether both sensors are in SI units; None to judge by the matrices.
     `means`, shape (m, 3), are raw means of the used rests. `weak` are parameters that the log does not
-    determine, or only weakly. `warnings` are codes of warnings and errors.
+    determine, or only weakly. `warnings` are codes of warnings and errors. `log_frame` is the frame in the
+    messages of the log, empty if unknown.
     """
 
     source: str
@@ -185,10 +189,11 @@ class Intrinsics(ReadOnlyArrays):
     said_si: bool | None = None
     weak: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    log_frame: str = ""
 
     @classmethod
     def of(cls, found: Calibration) -> "Intrinsics":
-        return _intrinsics(from_document(to_document(found)))
+        return intrinsics_of(from_document(to_document(found)))
 
     def in_frame(self, frame: str) -> "Intrinsics":
         if frame == self.frame:
@@ -211,11 +216,11 @@ class Intrinsics(ReadOnlyArrays):
 
 
 def load_intrinsics(path: Path) -> Intrinsics:
-    """Read the intrinsics of a ``calibration.json`` or its folder, with the errors of `load_calibration`."""
-    return _intrinsics(load_calibration(path))
+    """Read the intrinsics of a ``calibration.json`` or its folder, with the errors of `load_document`."""
+    return intrinsics_of(load_document(path))
 
 
-def load_calibration(path: Path) -> CalibrationDocument:
+def load_document(path: Path) -> CalibrationDocument:
     """Read a ``calibration.json`` or its folder, or raise a ReadError."""
     file = path / FILE_NAME if path.is_dir() else path
     try:
@@ -232,7 +237,8 @@ def from_document(document: object, *, file: str = "calibration") -> Calibration
     return from_json(CalibrationDocument, document, place)
 
 
-def _intrinsics(document: CalibrationDocument) -> Intrinsics:
+def intrinsics_of(document: CalibrationDocument) -> Intrinsics:
+    """Return the part of a calibration that other programs need."""
     accel, gyro = document.accelerometer, document.gyroscope
     sensors: dict[str, SensorEntry] = {"accel": accel}
     if gyro is not None:
@@ -262,4 +268,5 @@ def _intrinsics(document: CalibrationDocument) -> Intrinsics:
         said_si="raw" not in units,
         weak=tuple(weak),
         warnings=tuple(dict.fromkeys(f.code for f in document.findings if f.level != "info")),
+        log_frame=document.log_frame,
     )

@@ -1,9 +1,9 @@
 """Files of other programs with bias, scale and misalignment, and the noise numbers if a file has both.
 
 Formulas were read in the programs' sources: Kalibr (imu models), OpenVINS (State::Dm), PX4
-(Accelerometer.cpp), ArduPilot (AP_InertialSensor_Backend.cpp), DLIO (odom.cc), imu_calib (accel_calib.cpp),
-Basalt (calib_bias.hpp), Fusion (FusionCalibration.h), imu_tk (calibration.h), MATLAB (accelparams,
-gyroparams).
+(Accelerometer.cpp), ArduPilot (AP_InertialSensor_Backend.cpp), DLIO (odom.cc), Autoware
+(imu_corrector_core.cpp), imu_calib (accel_calib.cpp), Basalt (calib_bias.hpp), Fusion (FusionCalibration.h),
+imu_tk (calibration.h), MATLAB (accelparams, gyroparams).
 """
 
 import json
@@ -133,7 +133,7 @@ def _comment(target: CalibrationTarget, found: Intrinsics) -> Iterator[str]:
         yield f"determined weakly or not at all: {', '.join(found.weak)}"
     if found.warnings:
         yield f"read the calibration before you use these numbers; it warns of: {', '.join(found.warnings)}"
-    if "misalignment" not in target.uses:
+    if target.parameters and "misalignment" not in target.uses:
         yield f"ignored misalignment: error up to {_ignored(found):.3g} m/s^2 in the attitudes of the log"
     if found.b_g is None:
         yield "no gyroscope in this calibration"

@@ -21,6 +21,7 @@ from imucal.screening.windows import cut, quietest
 __all__ = [
     "RestMeans",
     "Triad",
+    "at_other_times",
     "attitudes",
     "find_rests",
     "half_differences",
@@ -251,3 +252,14 @@ def step_of(samples: FloatArray) -> float:
         else different
     )
     return float(real.min()) if real.size else 0.0
+
+
+def at_other_times(data: Triad, values: FloatArray, other: Triad) -> FloatArray:
+    """Interpolate values of one sensor's samples at the times of another's."""
+    same = data.rate_hz == other.rate_hz and other.offset_s == 0 and len(values) == len(other.samples)
+    if same and np.isfinite(values).all():
+        return values
+    times = np.arange(len(values)) / data.rate_hz
+    wanted = np.arange(len(other.samples)) / other.rate_hz + other.offset_s
+    known = np.isfinite(values).all(axis=1)
+    return np.column_stack([np.interp(wanted, times[known], column[known]) for column in values.T])

@@ -1,10 +1,8 @@
 """Results of a calibration, and how to apply them to a recording."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import ClassVar, Literal, TypeAlias
-
-import numpy as np
 
 from imucal.arrays import FloatArray, ReadOnlyArrays
 from imucal.calibration.accelerometer import Model, Suggestion
@@ -12,17 +10,15 @@ from imucal.calibration.gravity import Gravity
 from imucal.calibration.gyro_rest import GyroRest
 from imucal.calibration.noise_source import NoiseBase
 from imucal.calibration.parameters import Parameter, inverse
-from imucal.calibration.poses import Triad, triad
 from imucal.calibration.slow_noise import Excess
 from imucal.calibration.turn_data import Turn
 from imucal.display import Displayed
-from imucal.errors import DataError
 from imucal.findings import Finding
 from imucal.frozen import frozen, frozen_alone
 from imucal.grading import GRADE_TEXTS
-from imucal.recording import AXES, AxisSeries, Recording, Sensor, Source
+from imucal.recording import Source
 
-__all__ = ["AccelerometerResult", "Calibration", "GyroscopeResult", "Rest", "at_other_times"]
+__all__ = ["AccelerometerResult", "Calibration", "GyroscopeResult", "Rest"]
 
 #: check: read the findings first; not-usable: the result is wrong.
 CalibrationGrade: TypeAlias = Literal["good", "check", "not-usable"]
@@ -161,40 +157,3 @@ class Calibration(Displayed):
     def verdict_text(self) -> str:
         """The verdict as printed: good, check first or not usable."""
         return GRADE_TEXTS[self.verdict]
-
-    def apply(self, recording: Recording) -> Recording:
-        """Return the recording in m/s² and rad/s without bias, scale error, misalignment and g-sensitivity.
-
-        Raises
-        ------
-        DataError
-            If it has no accelerometer with three axes on one clock.
-        """
-        data = triad(recording, Sensor.ACCELEROMETER)
-        if data is None:
-            raise DataError("no accelerometer, which the calibration needs", place=recording.source.path)
-        f = (data.samples - self.accelerometer.b) @ self.accelerometer.C.T
-        corrected = {Sensor.ACCELEROMETER: f}
-        own = triad(recording, Sensor.GYROSCOPE)
-        if own is not None and self.gyroscope is not None:
-            part = at_other_times(data, f, own) @ self.gyroscope.G.T
-            corrected[Sensor.GYROSCOPE] = (own.samples - self.gyroscope.b - part) @ self.gyroscope.C.T
-
-        def corrected_series(series: AxisSeries) -> AxisSeries:
-            if series.sensor not in corrected:
-                return series
-            column = corrected[series.sensor][:, AXES.index(series.axis)]
-            return replace(series, samples=column[series.clock.grid()])
-
-        return replace(recording, series=tuple(corrected_series(series) for series in recording.series))
-
-
-def at_other_times(data: Triad, values: FloatArray, other: Triad) -> FloatArray:
-    """Interpolate values of one sensor's samples at the times of another's."""
-    same = data.rate_hz == other.rate_hz and other.offset_s == 0 and len(values) == len(other.samples)
-    if same and np.isfinite(values).all():
-        return values
-    times = np.arange(len(values)) / data.rate_hz
-    wanted = np.arange(len(other.samples)) / other.rate_hz + other.offset_s
-    known = np.isfinite(values).all(axis=1)
-    return np.column_stack([np.interp(wanted, times[known], column[known]) for column in values.T])

@@ -146,7 +146,7 @@ def check_config(path: Path, report: Report) -> tuple[Row, ...]:
         key=lambda each: len(there & {setting.name for setting in each[0]}),
     )
     numbers = target.numbers(report, options)
-    return (*_noise_rows(settings, target.keys, own, numbers), *_rate_rows(settings, own, numbers.stream_hz))
+    return (*noise_rows(settings, target.keys, own, numbers), *rate_rows(settings, own, numbers.stream_hz))
 
 
 def _names(key: Key) -> tuple[str, ...]:
@@ -167,7 +167,8 @@ def _formats(path: Path, settings: Sequence[Setting]) -> list[Target]:
     return [TARGETS[name] for name, count in counts.items() if count == most]
 
 
-def _rate_rows(settings: Sequence[Setting], own: Sequence[Setting], rate_hz: float) -> Iterator[Row]:
+def rate_rows(settings: Sequence[Setting], own: Sequence[Setting], rate_hz: float) -> Iterator[Row]:
+    """Judge each sampling rate in a file against the rate of the log; `own` is the exporter's file."""
     names = {each.name: None for each in own if each.numbers == (rate_hz,)}
     for setting in (each for name in names for each in settings if each.name == name):
         if len(setting.numbers) != 1:
@@ -181,7 +182,7 @@ def _rate_rows(settings: Sequence[Setting], own: Sequence[Setting], rate_hz: flo
         yield Row("log", setting.name, verdict, found, instead=instead)
 
 
-def _noise_rows(
+def noise_rows(
     settings: Sequence[Setting], keys: Sequence[Key], own: Sequence[Setting], numbers: Numbers
 ) -> Iterator[Row]:
     """Judge the noise parameters; `own` are the keys of the exporter's own file."""
@@ -241,11 +242,12 @@ def _noise_row(setting: Setting, wanted: "_Wanted", spelled: str, shared: str) -
     alone = verdict != "pass" or number >= right
     instead = setting.with_number(spelled) if message and alone else ""
     shown = " ".join(setting.written) if math.isnan(number) else f"{number:.4g} {key.unit}"
+    enough = f"enough for this sensor, {number / right:.3g} times the needed number"
     return Row(
         key.sensor.short,
         setting.name,
         verdict,
-        f"{setting.place} is {shown}; {message or 'enough for this sensor'}",
+        f"{setting.place} is {shown}; {message or enough}",
         side="min" if alone else None,
         limit=right if alone else None,
         unit=key.unit,
@@ -275,7 +277,8 @@ class _Wanted:
     """The required value of a key: white noise or random walk of some axes.
 
     `right` is the number that the exporter writes. `other` is the coefficient of the sensor's other number,
-    the larger of the file's and the exporter's. `fitted` contains the largest fitted coefficients.
+    the larger of the file's and the exporter's, or zero if the format has none. `fitted` contains the largest
+    fitted coefficients.
     """
 
     key: Key
@@ -289,9 +292,13 @@ class _Wanted:
     def of(
         cls, key: Key, mates: Sequence[tuple[Key, Setting]], axes: Sequence[AxisReport], numbers: Numbers
     ) -> "_Wanted":
-        rate_hz, pair = numbers.stream_hz, numbers.pair(axes)
-        right = {"N": pair.white, "K": pair.walk}
-        other = right["K" if key.symbol == "N" else "N"]
+        rate_hz = numbers.stream_hz
+        if numbers.covers:
+            pair = numbers.pair(axes)
+            right = {"N": pair.white, "K": pair.walk}
+            other = right["K" if key.symbol == "N" else "N"]
+        else:
+            right, other = {key.symbol: numbers.joined(axes, key.symbol).value}, 0.0
         for mate, setting in mates:
             if (least := min(_diagonal(setting))) > 0:
                 other = max(other, mate.formula.inverse(least, rate_hz))
@@ -316,14 +323,17 @@ class _Wanted:
         symbol, c = self.key.symbol, self.key.formula.inverse(number, self.numbers.stream_hz)
         times = f"{self.right / number:.3g} times too small"
         limits = Caution.at(LEVEL, self.axes[0].fit.level) if len(self.axes) == 1 else MEAN
-        if self._covers(c, limits):
+        if self.numbers.covers and self._covers(c, limits):
             return "pass", "too small alone, but the file's other number makes up for it"
         if over > _FAR_BELOW_A_BOUND and self._covers(c, _VALUES):
             message = "unless a term is below its upper bound; record for longer"
             return "undecided", f"{times}, {message}"
         own = self.fitted.get(symbol, 0.0)
-        below = "below the values that are enough for the fitted spectrum"
-        if own and 1 / _NEAR_ON_PURPOSE < c / own < _NEAR_ON_PURPOSE:
+        if not self.numbers.covers:
+            below = f"below {symbol} of the fit"
+        else:
+            below = "below the values that are enough for the fitted spectrum"
+        if self.numbers.covers and own and 1 / _NEAR_ON_PURPOSE < c / own < _NEAR_ON_PURPOSE:
             return "fail", f"{times}: {symbol} of the fit alone is {below}"
         if over < _ABSURD:
             return "fail", f"{times}, absurd: {mistake or 'no sensor is this good'}"
@@ -332,6 +342,10 @@ class _Wanted:
     def _covers(self, c: float, caution: Caution) -> bool:
         """Return whether a coefficient and the other number cover the spectra closely enough for a filter."""
         options = self.numbers.options
+        if not self.numbers.covers:
+            # The format has no walk that could replace other noise.
+            symbol = self.key.symbol
+            return c >= _ENOUGH * self.fitted.get(symbol, 0.0) * options.factor(symbol)
         white, walk = (c, self.other) if self.key.symbol == "N" else (self.other, c)
         f = covered_frequencies(self.numbers.horizon_s, options.step_s)
         walks = TERMS["K"].of(walk / options.factor("K")).psd(f, options.step_s)

@@ -4,6 +4,7 @@ A limit is in the table of an axis (``gyro_x``), a sensor (``gyroscope``: all it
 
     [gyroscope]
     N = { max = 0.3, unit = "deg/sqrt(h)" }     # SI where no unit is given
+    B = { max = 2, sensor = "ADIS16448" }       # times the figure of a part's data sheet
 """
 
 import difflib
@@ -14,11 +15,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, NoReturn, TypeAlias, TypeVar
 
-from imucal.errors import LimitsError
+from imucal.errors import ChoiceError, LimitsError
 from imucal.findings import code_texts
 from imucal.frozen import frozen
 from imucal.noise.terms import TERMS, symbol_of
 from imucal.recording import AXES, Axis, Sensor
+from imucal.sensors import find_sensor
 from imucal.units import G0, SAMPLE_UNITS, find_unit
 
 T = TypeVar("T")
@@ -194,9 +196,14 @@ def _section(section: str, entry: "_Value", table: Mapping[str, "_Value"]) -> It
     entry.known(table, (*of_axes, *LOG_QUANTITIES), also=("axes",) if section in _SENSORS else ())
     sensor = _AXIS_NAMES.get(section) or (Sensor.GYROSCOPE if section == "log" else Sensor(section))
     for quantity, asked in table.items():
-        units = quantity_units(quantity, sensor)
-        least, most, written = asked.entries({"min": None, "max": None, "unit": next(iter(units))}).values()
-        unit = _unit(written, units)
+        least, most, written, part = asked.entries(
+            {"min": None, "max": None, "unit": None, "sensor": None}
+        ).values()
+        if part.value is None:
+            units = quantity_units(quantity, sensor)
+            unit = _unit(written, units) if written.value is not None else (next(iter(units)), 1.0)
+        else:
+            unit = _times_the_sheet(part, section, quantity, written)
         both: tuple[tuple[Side, _Value], ...] = (("min", least), ("max", most))
         sides = {side: each.number() for side, each in both if each.value is not None}
         if not sides:
@@ -205,6 +212,31 @@ def _section(section: str, entry: "_Value", table: Mapping[str, "_Value"]) -> It
             asked.refuse("min is above max", "swap them")
         for side, value in sides.items():
             yield Limit(section, quantity, side, value, *unit)
+
+
+def _times_the_sheet(part: "_Value", section: str, quantity: str, written: "_Value") -> tuple[str, float]:
+    """Return ``x BMI088`` as the unit of a limit relative to a data sheet, and the figure in SI."""
+    if written.value is not None:
+        written.refuse(repr(written.value), "remove it: the limit is a multiple of the data sheet's figure")
+    if section == "log":
+        part.refuse(
+            repr(part.value), "a part in [log] is of no sensor; write it in [gyroscope] or [accelerometer]"
+        )
+    name = part.text("the name of a part, such as BMI088")
+    try:
+        found = find_sensor(name)
+    except ChoiceError as error:
+        part.refuse(error.problem, "; ".join(fix.text for fix in error.fixes))
+    sensor = _AXIS_NAMES.get(section) or Sensor(section)
+    term = found.term(sensor, quantity)
+    if term is None:
+        own = found.sensors.get(sensor)
+        known = ", ".join(own.terms) if own else ""
+        part.refuse(
+            f"the data sheet of the {found.name} gives no {quantity} of the {sensor}",
+            f"expected one of {known}" if known else "remove the limit, or give a number",
+        )
+    return f"x {found.name}", term.reference
 
 
 def _unit(written: "_Value", units: Mapping[str, float]) -> tuple[str, float]:

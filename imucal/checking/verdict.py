@@ -39,7 +39,8 @@ class Row:
     """One verdict on an axis, a sensor or the ``log``, and what was `found` there.
 
     `side` and `limit` are None if the rule is not a number; `measured`, in the same unit, is None if nothing
-    was measured. `instead` replaces a wrong or doubtful line of a config file.
+    was measured. `instead` replaces a wrong or doubtful line of a config file. A table prints `found` of a
+    row `in_words`, because its number alone explains nothing.
     """
 
     where: str
@@ -52,6 +53,7 @@ class Row:
     unit: str = ""
     measured: Quantity | None = None
     instead: str = ""
+    in_words: bool = False
 
     @property
     def text(self) -> str:

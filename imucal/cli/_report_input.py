@@ -73,6 +73,21 @@ def given_report(models: Mapping[Sensor, str], rate_hz: float | None) -> Report:
     return model_as_report(models, rate_hz=rate_hz)
 
 
+def part_report(name: str, request: LogRequest) -> Report:
+    """Return the figures of a part's data sheet in the form of a report; a usage error without a rate."""
+    from imucal.report.given import part_as_report
+    from imucal.sensors import find_sensor
+
+    part = find_sensor(name)
+    _refuse_reading(
+        [each for each in sorted(request.settings()) if each != "rate_hz"], f"{part.name} is a part"
+    )
+    rate_hz = request.reading["rate_hz"]
+    if rate_hz is None:
+        misuse("a data sheet has no sampling rate; give one, such as --rate 200")
+    return part_as_report(part, rate_hz=rate_hz)
+
+
 def report_or_model(source: str | None, models: Mapping[Sensor, str], rate_hz: float | None) -> Report:
     """Load a report by its file, folder or URL, or make one from models."""
     if source is None or models or is_model(source):
@@ -85,6 +100,8 @@ def load_report(request: LogRequest) -> Report:
 
     Reading options are refused with a report, because they would have no effect.
     """
+    if not request.logs:
+        raise click.MissingParameter(param_hint="'REPORT'", param_type="argument")
     asked = sorted(request.settings())
     if request.models:
         _refuse_reading([name for name in asked if name != "rate_hz"], f"{request.logs[0]!r} is a model")
@@ -100,11 +117,16 @@ def load_report(request: LogRequest) -> Report:
 
 def load_calibrated(request: LogRequest) -> "CalibrationDocument":
     """Load the document of a calibration; refuse options for reading a log."""
-    from imucal.calibration.document import load_calibration
+    from imucal.calibration.document import load_document
 
     first = request.logs[0]
-    _refuse_reading(sorted(request.settings()), f"{first} is a calibration")
-    return load_calibration(Path(first))
+    refuse_reading(request, f"{first} is a calibration")
+    return load_document(Path(first))
+
+
+def refuse_reading(request: LogRequest, what: str) -> None:
+    """Refuse options for reading a log; `what` says why they have no effect."""
+    _refuse_reading(sorted(request.settings()), what)
 
 
 def _refuse_reading(asked: list[str], what: str) -> None:

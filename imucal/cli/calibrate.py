@@ -126,6 +126,7 @@ def command(
     Raw counts are welcome: --accel-unit count --gyro-unit count.
     """
     from imucal.calibration import calibrate
+    from imucal.calibration.applying import apply
     from imucal.calibration.document import to_document
     from imucal.calibration.writer import check_folder
     from imucal.report.typed_json import dumps
@@ -152,7 +153,7 @@ def command(
         if not no_files:
             _write_folder(found, folder, report, html=not no_html, opened=opened)
         if apply_to:
-            _write_corrected(found.apply(recording), apply_to)
+            _write_corrected(apply(found, recording), apply_to)
     _end(found.verdict, recording.source.path, [f.code for f in found.findings if f.level != "info"])
 
 
@@ -210,7 +211,7 @@ def _write_corrected(corrected: "Recording", path: Path) -> None:
     if len(corrected.series) != len(Sensor) * len(AXES) or len(clocks) != 1:
         msg = (
             "expected a gyroscope and an accelerometer with the same time stamps; apply the "
-            "calibration in Python: imucal.calibrate(recording).apply(recording)"
+            "calibration to the log: imucal apply"
         )
         raise DataError(msg, place=path)
     write_log(corrected, path)

@@ -16,7 +16,7 @@ from imucal.calibration.exports import CALIBRATION_TARGETS, find_calibration_tar
 from imucal.calibration.writer import NOISE_NAME, is_calibration
 from imucal.cli._fleet import is_fleet, read_fleet
 from imucal.cli._printing import echo, print_note
-from imucal.cli._report_input import load_report
+from imucal.cli._report_input import load_report, part_report
 from imucal.cli.context import is_set, misuse
 from imucal.cli.log_request import LogRequest
 from imucal.cli.options import (
@@ -39,6 +39,7 @@ from imucal.remote.addresses import shown as shown_address
 from imucal.report import exports
 from imucal.report.exports.config_numbers import INFLATABLE, AxisPolicy, Basis
 from imucal.report.exports.target import name_key
+from imucal.report.given import FROM_SHEET
 from imucal.report.json_file import load
 from imucal.report.result import Report
 
@@ -107,6 +108,7 @@ Examples:
   imucal export still-imucal --to openvins --inflate white=5,walk=10
   imucal export still-imucal --to px4 --coast 10min
   imucal export fleet --to kalibr
+  imucal export --sensor ADIS16448 --rate 200 --to kalibr
   imucal export poses-calibration --to openvins -o imu.yaml
 
 Exit codes: 0 done, 2 usage, 3 report not readable, 4 not noise at rest or a
@@ -169,7 +171,7 @@ number is missing, 5 file not writable.
     help="Multiply white (N), walk (K) or flicker (B, GM), such as white=2,walk=10.",
 )
 @flag("--median", group=NUMBERS, help="Of a fleet: the median unit instead of the bound for every unit.")
-@fleet_model(group=NUMBERS)
+@fleet_model(group=NUMBERS, or_part="Without REPORT: the figures of this part's data sheet, such as BMI088.")
 @report_options
 def command(
     *,
@@ -198,13 +200,14 @@ def command(
         horizon_s=coast_s,
         topic=rostopic,
     )
-    if is_calibration(path := Path(request.logs[0])):
+    if request.logs and is_calibration(path := Path(request.logs[0])):
         _export_calibration(path, targets, out, chosen)
         return
-    _require_noise_targets(targets, shown_address(request.logs[0]))
+    source = request.logs[0] if request.logs else fleet_model or ""
+    _require_noise_targets(targets, shown_address(source))
     report = _report(request, fleet_model, median=median)
     if not is_set("force"):
-        exports.refuse_unsound(report, place=request.logs[0])
+        exports.refuse_unsound(report, place=source)
     names = tuple(exports.TARGETS) if "all" in targets else _names(targets)
     texts = {exports.TARGETS[name].file_name: exports.render(report, name, chosen) for name in names}
     _write(texts, out, several=len(names) > 1)
@@ -262,7 +265,11 @@ def _require_noise_targets(names: tuple[str, ...], source: str) -> None:
 
 
 def _report(request: LogRequest, model: str | None, *, median: bool) -> Report:
-    """Return the report of a log, or the results of a fleet's sensor model in the same form."""
+    """Return the report of a log, or the numbers of a fleet's model or of a part in the same form."""
+    if not request.logs and model is not None:
+        if median:
+            misuse("a part is not a fleet; omit --median")
+        return part_report(model, request)
     folder = request.logs[0]
     if is_fleet(folder):
         if len(request.logs) > 1 or request.settings():
@@ -271,7 +278,8 @@ def _report(request: LogRequest, model: str | None, *, median: bool) -> Report:
 
         return fleet_as_report(read_fleet(folder, model), value="median" if median else "tolerance")
     if median or model is not None:
-        misuse(f"{shown_address(folder)} is not a fleet; omit {'--median' if median else '--sensor'}")
+        instead = "--median" if median else "--sensor, or omit REPORT to export a data sheet"
+        misuse(f"{shown_address(folder)} is not a fleet; omit {instead}")
     return load_report(request)
 
 
@@ -305,7 +313,7 @@ def _left_out(report: Report, names: Iterable[str], chosen: exports.ExportOption
 def _remarks(report: Report, numbers: Basis) -> Iterator[str]:
     """Yield remarks on the kind of the numbers, on bounds, and on sensors that the files lack."""
     if warned := dict.fromkeys(
-        f.text for f in report.all_findings if f.code in {"unit-given", "unit-suspect"}
+        f.text for f in report.all_findings if f.code in {"unit-given", "unit-suspect", "unit-of-sensor"}
     ):
         yield from (f"warning: {text} All exported numbers of this sensor depend on it." for text in warned)
     if numbers == "covered":
@@ -319,6 +327,8 @@ def _remarks(report: Report, numbers: Basis) -> Iterator[str]:
                 f"{symbol} was not detected on {', '.join(axes)}; files that need it contain its upper "
                 "bound, with a comment"
             )
+    if report.source.format.startswith(FROM_SHEET):
+        yield f"warning: all numbers are {FROM_SHEET}; fit a log at rest to know your unit"
     for sensor in Sensor:
         if sensor not in report.by_sensor:
             yield f"the report has no {sensor}; the files omit its numbers"

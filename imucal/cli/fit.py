@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING
 import click
 
 from imucal.cli._fixes import option_of
-from imucal.cli._printing import as_typed, echo, name_of_log, print_findings, print_note, refuse, width
+from imucal.cli._printing import (
+    as_typed,
+    can_print,
+    echo,
+    name_of_log,
+    print_findings,
+    print_note,
+    refuse,
+    width,
+    wrapped,
+)
 from imucal.cli.context import is_set, misuse
 from imucal.cli.log_request import LogRequest
 from imucal.cli.options import (
@@ -33,6 +43,7 @@ from imucal.printable import printable_json
 if TYPE_CHECKING:
     from imucal.findings import Finding
     from imucal.report.result import Report
+    from imucal.sensors import Part
 
 
 _EPILOG = unwrapped("""
@@ -73,6 +84,13 @@ result (with --strict: or a warning), 5 report not writable, 130 interrupted.
 )
 @level
 @option(
+    "--sensor",
+    "part_name",
+    group=MODEL,
+    metavar="NAME",
+    help="Compare with the data sheet of this part, such as BMI088 (see 'imucal sensor --list').",
+)
+@option(
     "--jobs",
     group=MODEL,
     metavar="N",
@@ -86,6 +104,7 @@ def command(
     model: str,
     method: str,
     level: float,
+    part_name: str | None,
     jobs: int | None,
     si: bool,
     out: Path | None,
@@ -116,15 +135,18 @@ def command(
         settings = Settings(model=model, method=method, level=level, reading=reading)
     except ValueError as error:
         misuse(error)
+    part = _part(part_name)
     folder = out or report_folder(request.logs[0])
     replaced = (folder / "report.json").exists()
     if not no_report:
         check_folder(folder)
-    report = request.characterise(settings, workers=jobs, rests=rests)
+    report = request.characterise(settings, workers=jobs, rests=rests, part=part)
     if as_json:
         click.echo(printable_json(dumps(to_document(report))), nl=False)
     else:
         echo(summary_table(report, datasheet=not si, forced=is_set("force"), columns=width()))
+        if part is not None:
+            _print_ratios(report, part)
     print_findings(_printed_findings(report))
     missing: list[Finding] = []
     if not no_report:
@@ -138,6 +160,26 @@ def command(
     written = "nothing was written" if no_report else f"see {folder}"
     findings = (*report.all_findings, *missing)
     refuse(report.verdict, findings, place=report.source.path, consequence=written, printed=True)
+
+
+def _part(name: str | None) -> "Part | None":
+    if name is None:
+        return None
+    from imucal.sensors import find_sensor
+
+    return find_sensor(name)
+
+
+def _print_ratios(report: "Report", part: "Part") -> None:
+    """Print a line for each term that the data sheet has."""
+    from imucal.sheet_comparison import sheet_ratios
+
+    ratios = sheet_ratios(report, part, forced=is_set("force"))
+    if ratios:
+        echo("")
+    for ratio in ratios:
+        for line in wrapped(ratio.text(plain=not can_print("√µ²"))):
+            echo(line)
 
 
 def _next_step(report: "Report", folder: Path) -> str:

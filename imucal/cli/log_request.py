@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from imucal.pipeline import Settings
     from imucal.readers.remote_logs import LocalLogs
     from imucal.report.result import Report
+    from imucal.sensors import Part
 
 
 @contextmanager
@@ -65,9 +66,17 @@ class LogRequest:
         return recording
 
     def characterise(
-        self, settings: "Settings", *, workers: int | None = None, rests: bool = False
+        self,
+        settings: "Settings",
+        *,
+        workers: int | None = None,
+        rests: bool = False,
+        part: "Part | None" = None,
     ) -> "Report":
-        """Read and characterise the log, or only its `rests`, with progress bars."""
+        """Read and characterise the log, or only its `rests`, with progress bars.
+
+        With a `part`, compare the report with its data sheet.
+        """
         from imucal.pipeline import characterize
         from imucal.readers.checksums import checksums_of
 
@@ -79,6 +88,10 @@ class LogRequest:
                 recording = at_rest(recording)
             with progress(*FITTING) as update:
                 report = characterize(recording, settings, progress=update, workers=workers)
+            if part is not None:
+                from imucal.sheet_comparison import compared_with_sheet
+
+                report = compared_with_sheet(report, recording, part)
             files = (*report.source.files, *logs.named_files(files_of_logs()))
             return replace(report, source=replace(report.source, files=files))
 

@@ -124,9 +124,9 @@ def out_option(metavar: str, **attributes: Any) -> Decorator:  # noqa: ANN401
     return option("-o", "--out", group=OUTPUT, metavar=metavar, type=PATH, **attributes)
 
 
-def fleet_model(*, group: str = OPTIONS) -> Decorator:
-    """Declare the option for one sensor model of a fleet."""
-    text = "Of a fleet with several sensor models: this one."
+def fleet_model(*, group: str = OPTIONS, or_part: str = "") -> Decorator:
+    """Declare the option for one sensor model of a fleet; `or_part` is its meaning without a fleet."""
+    text = f"Of a fleet with several sensor models: this one. {or_part}".rstrip()
     return option("--sensor", "fleet_model", group=group, metavar="NAME", help=text)
 
 
@@ -318,6 +318,9 @@ def _with_report(function: Callable[..., Any]) -> Callable[..., Any]:
     def command(*, request: LogRequest, models: dict[Sensor, str], **values: Any) -> object:  # noqa: ANN401
         from imucal.cli._report_input import report_request
 
+        if values.get("fleet_model") and not (request.logs or models):
+            # The command decides whether the option may name a part in place of a report.
+            return function(request=request, **values)
         return function(request=report_request(request, models), **values)
 
     return command

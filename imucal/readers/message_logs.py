@@ -8,10 +8,10 @@ from imucal.findings import Finding
 from imucal.readers.containers.container import Container, Loss, OpenFiles
 from imucal.readers.files import naming, refused
 from imucal.readers.memory import fit_into_memory, too_large
-from imucal.readers.messages.loader import MIN_MESSAGE_BYTES, Decoding, decode
-from imucal.readers.messages.topics import Topic, find_topics
+from imucal.readers.messages.loader import MIN_MESSAGE_BYTES, Decoding, Stream, decode
+from imucal.readers.messages.topics import Number, Topic, find_topics
 from imucal.readers.read_options import ReadOptions
-from imucal.readers.table import Loaded, Log, Request
+from imucal.readers.table import Loaded, Log, Request, Table
 
 #: Time read before and after a part, in s, because log times are later than stamps.
 _MARGIN_S = 10.0
@@ -43,6 +43,20 @@ class MessageLog(Log):
         ends = [one.end_ns for one in containers if one.end_ns is not None]
         self.start_ns = min(starts, default=None)
         self.end_ns = max(ends, default=None)
+
+    @property
+    def containers(self) -> Sequence[Container]:
+        """The files of the log."""
+        return self._containers
+
+    def numbers_of(self, table: Table, indices: Sequence[int]) -> list[Number]:
+        """Return the numbers in messages that are columns of a table."""
+        topic = self._topics[table]
+        return [topic.numbers[index] for index in indices]
+
+    def stream_of(self, table: Table, indices: Sequence[int]) -> Stream:
+        """Return the decoders of some columns of a table, in their order; raises ReadError."""
+        return self._topics[table].stream(self.numbers_of(table, indices))
 
     def close(self) -> None:
         for container in self._containers:

@@ -14,11 +14,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from imucal.errors import ChoiceError
 from imucal.findings import Finding
+from imucal.noise.terms import TERMS
 from imucal.processes import side_by_side, try_side_work
 from imucal.recording import Sensor
 from imucal.report import numbers
-from imucal.report.figure_curves import draw_allan, draw_allan_overview, draw_psd, draw_psd_overview
+from imucal.report.figure_curves import (
+    SheetLine,
+    draw_allan,
+    draw_allan_overview,
+    draw_psd,
+    draw_psd_overview,
+)
 from imucal.report.figure_style import (
     INK,
     LEGEND_SIZE,
@@ -61,7 +69,7 @@ def axis_figure(report: Report, axis: AxisReport) -> "Figure":
     fit, units = axis.fit, units_of(report, axis.sensor)
     recorded, structure = _recorded(axis), str(fit.model) or "no term detected"
     write_head(figure, axis_title(axis), f"{recorded}   ·   model {structure} ({fit.method.upper()})")
-    entries = draw_allan(left, fit, units)
+    entries = draw_allan(left, fit, units, _sheet_lines(report, axis))
     names = {str(entry.get_label()) for entry in entries}
     entries += [entry for entry in draw_psd(right, axis, units) if str(entry.get_label()) not in names]
     figure.legend(
@@ -74,6 +82,27 @@ def axis_figure(report: Report, axis: AxisReport) -> "Figure":
         **LEGEND_STYLE,
     )
     return figure
+
+
+def _sheet_lines(report: Report, axis: AxisReport) -> list[SheetLine]:
+    """Return N and B of the data sheet that the log was compared with; nothing without `--sensor`."""
+    name = report.settings.get("sensor")
+    if not isinstance(name, str):
+        return []
+    from imucal.sensors import find_sensor
+
+    try:
+        part = find_sensor(name)
+    except ChoiceError:
+        # The report is older than the table of parts.
+        return []
+    terms = [term for symbol in ("N", "B") if (term := part.term(axis.sensor, symbol))]
+    return [
+        SheetLine(
+            label=f"{term.symbol} of the data sheet, {part.name}", term=TERMS[term.symbol].of(term.reference)
+        )
+        for term in terms
+    ]
 
 
 def sensor_figure(report: Report, sensor: Sensor) -> "Figure":

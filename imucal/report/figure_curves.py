@@ -1,6 +1,7 @@
 """Draw the Allan deviation and the spectrum of axes, with model and terms."""
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray
 from imucal.fitting.noise_fit import Estimate, Line, NoiseFit
-from imucal.frozen import frozen_alone
+from imucal.frozen import frozen, frozen_alone
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
@@ -150,12 +151,24 @@ def estimate_text(estimate: Estimate, sensor: Sensor | None, units: SheetUnits) 
     return "\n".join(lines)
 
 
+@frozen
+class SheetLine:
+    """A term of a data sheet to draw, with its label."""
+
+    label: str
+    term: NoiseTerm
+
+
+_SHEET: Style = {"color": UNUSED, "linewidth": 2.4, "linestyle": "--", "zorder": 1}
+
 #: Factor below the curve down to which read-offs are visible.
 _DEEPEST = 40.0
 
 
-def draw_allan(axes: "Axes", fit: NoiseFit, units: SheetUnits) -> list[Any]:
-    """Draw one axis's curve, model and terms; return the legend's entries."""
+def draw_allan(
+    axes: "Axes", fit: NoiseFit, units: SheetUnits, sheet: Sequence["SheetLine"] = ()
+) -> list[Any]:
+    """Draw one axis's curve, model, terms and lines of a data sheet; return the legend's entries."""
     curve, rate, factor = fit.curve, fit.rate_hz, units.level.factor
     shown, terms = shown_points(curve), drawn_terms(fit)
     y_limits = _y_limits(curve.adev[shown] * factor, [each.term.read_off()[1] * factor for each in terms])
@@ -167,6 +180,9 @@ def draw_allan(axes: "Axes", fit: NoiseFit, units: SheetUnits) -> list[Any]:
         name = f"model {fit.model}"
         entries += axes.plot(tau, total, color=MODEL.light, linewidth=1.8, zorder=6, label=name)
     obstacles = [(curve.tau[shown], curve.adev[shown] * factor, 2.0), (tau, total, 2.0)]
+    for each in sheet:
+        deviation = np.sqrt(each.term.avar(m, 1 / rate)) * factor
+        entries += axes.plot(tau, deviation, label=each.label, **_SHEET)
     labels = []
     for drawn in terms:
         line = np.sqrt(drawn.term.avar(m, 1 / rate)) * factor

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from imucal._version import __version__
 from imucal.allan.curve import AllanCurve
 from imucal.allan.dct import Spectrum
 from imucal.arguments import takes
+from imucal.errors import DataError, Fix
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, Goodness, Interval, NoiseFit
 from imucal.noise.model import NoiseModel
@@ -17,7 +18,12 @@ from imucal.noise.terms import ALWAYS, TERMS, term_keys
 from imucal.recording import Axis, Sensor, Source
 from imucal.report.result import AxisReport, Overview, Report
 
+if TYPE_CHECKING:
+    from imucal.sensors import Part
+
 GIVEN = "given"
+#: Origin of numbers of a data sheet.
+FROM_SHEET = "from the data sheet, not measured"
 #: Assumed length of the record, in s.
 _RECORD_S = 3 * 3600.0
 
@@ -55,6 +61,49 @@ def model_as_report(models: Mapping[Sensor, str], *, rate_hz: float) -> Report:
         version=__version__,
         findings=(Finding("info", "rate-given", f"The rate, {rate_hz:g} Hz, was given."),),
     )
+
+
+@takes('imucal.part_as_report(imucal.sensor("BMI088"), rate_hz=200.0)')
+def part_as_report(part: "Part", *, rate_hz: float) -> Report:
+    """Return the figures of a data sheet in the form of the report of one log.
+
+    Parameters
+    ----------
+    part
+        From `imucal.sensor`.
+    rate_hz
+        Sampling rate in Hz, for numbers per sample.
+
+    Raises
+    ------
+    DataError
+        If the data sheet prints N of no sensor.
+    """
+    models = part_models(part)
+    if not models:
+        advice = Fix("record a log at rest and run 'imucal fit' on it")
+        raise DataError("the data sheet prints no N", place=part.name, fix=advice)
+    report = model_as_report(models, rate_hz=rate_hz)
+    axes = []
+    for axis in report.axes:
+        estimates = [replace(each, origin=FROM_SHEET) for each in axis.fit.estimates]
+        axes.append(replace(axis, fit=replace(axis.fit, estimates=tuple(estimates))))
+    documents = "; ".join(part.sources)
+    return replace(
+        report,
+        source=Source(path=part.name, format=f"{FROM_SHEET}: {documents}; figures: {part.confidence}"),
+        axes=tuple(axes),
+        settings={**report.settings, "sensor": part.name},
+    )
+
+
+def part_models(part: "Part") -> dict[Sensor, str]:
+    """Return the model of each sensor whose N the data sheet prints, as a text in SI."""
+    return {
+        sensor: " + ".join(f"{symbol}={term.reference!r}" for symbol, term in own.terms.items())
+        for sensor, own in part.sensors.items()
+        if "N" in own.terms
+    }
 
 
 def _estimates(model: NoiseModel) -> list[Estimate]:

@@ -75,7 +75,7 @@ def test_a_good_log_gives_the_truth(good: tuple[Truth, Log, Calibration]) -> Non
 def test_apply_removes_the_errors(good: tuple[Truth, Log, Calibration]) -> None:
     """Gravity has its length, rates at rest are zero."""
     _, one, found = good
-    corrected = found.apply(one.recording())
+    corrected = imucal.apply(found, one.recording())
     f = np.column_stack([corrected.axis("accel", axis).samples for axis in AXES])
     w = np.column_stack([corrected.axis("gyro", axis).samples for axis in AXES])
     norms = [np.linalg.norm(f[a:b].mean(axis=0)) for a, b in one.spans]

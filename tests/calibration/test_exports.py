@@ -101,6 +101,13 @@ def dlio(text: str) -> Both:
     return RAW_A @ sm.T - np.array(node["accel"]["bias"]), (w - F @ TRUTH.G.T) @ FOUND.C_g.T  # type: ignore[union-attr]
 
 
+def autoware(text: str) -> Both:
+    """Raw - offset, the gyroscope only. Source: autoware_imu_corrector, imu_corrector_core.cpp."""
+    node = yaml.safe_load(text)["/**"]["ros__parameters"]
+    w = RAW_G - np.array([node[f"angular_velocity_offset_{axis}"] for axis in "xyz"])
+    return F, (w - F @ TRUTH.G.T) @ FOUND.C_g.T  # type: ignore[union-attr]
+
+
 def imu_calib(text: str) -> Both:
     """SM raw - bias. Source: imu_calib, accel_calib.cpp."""
     node = yaml.safe_load(text)
@@ -166,8 +173,9 @@ def python(text: str) -> Both:
 
 
 CONSUMERS = {
-    "kalibr": kalibr, "openvins": openvins, "basalt": basalt, "dlio": dlio, "imu-calib": imu_calib,
-    "fusion": fusion, "imu-tk": imu_tk, "matlab": matlab, "yaml": own_yaml, "python": python,
+    "kalibr": kalibr, "openvins": openvins, "basalt": basalt, "dlio": dlio, "autoware": autoware,
+    "imu-calib": imu_calib, "fusion": fusion, "imu-tk": imu_tk, "matlab": matlab, "yaml": own_yaml,
+    "python": python,
 }  # fmt: skip
 
 
@@ -301,6 +309,8 @@ def test_what_a_program_has_no_place_for_is_in_the_comment() -> None:
     assert "Kalibr does not read M, A and C_gyro_i from imu.yaml" in text_of("kalibr")
     assert "DLIO applies them after its rotation baselink2imu" in text_of("dlio")
     assert "format has no gyroscope scale and misalignment: error up to" in text_of("dlio")
+    assert "format has no gyroscope scale and misalignment: error up to" in text_of("autoware")
+    assert "ignored misalignment" not in text_of("autoware")
     G = np.array([[1e-4, 0.0, 2e-4], [0.0, 1e-4, -3e-4], [0.0, 0.0, 5e-4]])
     level = np.array([0.01, -0.02, 0.03]) + G[:, 2] * FOUND.gravity
     sensitive = render_calibration(replace(FOUND, G=G, b_g=np.array([0.01, -0.02, 0.03])), "fusion")

@@ -100,7 +100,9 @@ def test_every_frame_is_the_same_imu() -> None:
         np.testing.assert_allclose(found.gyroscope.G, first.gyroscope.G @ R.T, atol=1e-9)
         for sensor in Sensor:
             old, new = (
-                np.column_stack([r.apply(recording).axis(sensor.short, axis).samples for axis in AXES])
+                np.column_stack(
+                    [imucal.apply(r, recording).axis(sensor.short, axis).samples for axis in AXES]
+                )
                 for r in (first, found)
             )
             np.testing.assert_allclose(new, old @ R.T, atol=1e-6)

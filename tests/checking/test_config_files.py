@@ -66,7 +66,7 @@ def test_exported_files_pass(name: str, tmp_path: Path) -> None:
         rows = read_back(tmp_path, text, report)
         assert {row.verdict for row in rows.values()} == {"pass"}
         assert not any(row.instead for row in rows.values())
-        wanted = len(TARGETS[name].keys) * (3 if "{" in TARGETS[name].keys[0].name else 1)
+        wanted = sum(3 if key.each_axis else 1 for key in TARGETS[name].keys)
         assert len([row for row in rows.values() if row.where != "log"]) == wanted
 
 
@@ -127,6 +127,30 @@ def test_a_wrong_factor_of_the_rate_is_reported_in_every_format(name: str, tmp_p
         for row in rows.values():
             assert row.verdict == "fail"
             assert mistake in row.text or "the continuous density" in row.text, row.text
+
+
+def test_autoware_needs_n_of_the_fit_alone(tmp_path: Path) -> None:
+    """It has no walk, so flicker does not raise the limit; its default of 0.03 rad/s is cautious."""
+    report = model_as_report({GYRO: "N=1e-4 + B=2e-4 + K=1e-6", ACCEL: "N=1e-3 + K=1e-5"}, rate_hz=RATE_HZ)
+    right = 1e-4 * ROOT
+    text = (
+        f"angular_velocity_stddev_xx: {right}\n"
+        f"angular_velocity_stddev_yy: {right / 2}\n"
+        "angular_velocity_stddev_zz: 0.03\n"
+        "acceleration_stddev: 1e-3\n"
+    )
+    rows = read_back(tmp_path, text, report)
+    assert rows["angular_velocity_stddev_xx"].verdict == "pass"
+    below = rows["angular_velocity_stddev_yy"]
+    assert below.verdict == "fail"
+    assert below.limit == pytest.approx(right)
+    assert "2 times too small: below N of the fit" in below.text
+    assert rows["angular_velocity_stddev_zz"].verdict == "pass"
+    assert "21.2 times too large: too cautious" in rows["angular_velocity_stddev_zz"].text
+    density = rows["acceleration_stddev"]
+    assert density.verdict == "fail"
+    assert "14.1 times too small" in density.text
+    assert "the continuous density" in density.text
 
 
 def test_the_number_of_another_term_is_reported(tmp_path: Path) -> None:

@@ -139,7 +139,7 @@ def test_a_corrected_log_needs_both_sensors(tmp_path: Path) -> None:
     arguments = ("accel.csv", "--rate", "100", "--accel-unit", "m/s^2", *PLACE, "-q")
     done = run("calibrate", *arguments, "--apply", "x.csv", cwd=tmp_path)
     assert done.returncode == 4
-    assert "imucal.calibrate(recording).apply(recording)" in done.stderr
+    assert "apply the calibration to the log: imucal apply" in " ".join(done.stderr.split())
 
 
 def write_accelerometer(recording: Recording, path: Path, factor: float = 1.0) -> None:
@@ -391,7 +391,7 @@ def test_export_of_a_calibration(folder: Path, tmp_path: Path) -> None:
     assert renamed.stdout == printed.stdout
     every = run("export", place, "--to", "all", "-o", "configs", cwd=tmp_path)
     assert every.returncode == 0
-    assert len(every.stdout.splitlines()) == len(list((tmp_path / "configs").iterdir())) == 13
+    assert len(every.stdout.splitlines()) == len(list((tmp_path / "configs").iterdir())) == 15
     (tmp_path / "mine.yaml").write_text("mine", encoding="utf-8")
     write_report(tmp_path, "still")
     for arguments, code, said in (
@@ -416,7 +416,7 @@ def test_an_export_to_a_name_with_a_slash_makes_a_folder(folder: Path, tmp_path:
     assert [file.suffix for file in (tmp_path / name).iterdir()] == [".yaml"]
 
 
-@pytest.mark.parametrize("command", ["compare {0} {0}", "compare {0}/calibration.json {0}", "plan {0}"])
+@pytest.mark.parametrize("command", ["compare {0} nothing.json", "plan {0}"])
 def test_a_calibration_in_place_of_a_report_is_named(folder: Path, tmp_path: Path, command: str) -> None:
     place = folder / "poses-calibration"
     result = run(*command.format(place).split(), cwd=tmp_path)

@@ -22,6 +22,7 @@ COMMANDS = [
     ("compare", "still-imucal", "other-imucal"),
     ("plan", "still-imucal", "--duration", "3h"),
     ("drift", "still-imucal"),
+    ("sensor", "ADIS16448"),
 ]
 
 

@@ -298,6 +298,26 @@ def _ros(path: Path) -> Recovered:
     return recovered
 
 
+def _autoware(path: Path) -> Recovered:
+    """Use one number for the accelerometer, and one per axis of the gyroscope."""
+    data, root = _yaml(path)["/**"]["ros__parameters"], math.sqrt(_RATE_HZ)
+    stddev = {axis: data.get(f"angular_velocity_stddev_{axis}{axis}") for axis in "xyz"}
+    recovered = {(f"gyro_{axis}", "N"): value / root for axis, value in stddev.items() if value}
+    assert all(isinstance(value, float) for value in data.values())
+    assert len([name for name in data if name.startswith("angular_velocity_offset_")]) == len(recovered)
+    if "acceleration_stddev" in data:
+        recovered["accel", "N"] = data["acceleration_stddev"] / root
+    return recovered
+
+
+def _fusioncore(path: Path) -> Recovered:
+    """Take the roots of the variances of the biases, which are added once per sample."""
+    data = dict(_yaml(path)["fusioncore"]["ros__parameters"])
+    data |= {name: math.sqrt(value) for name, value in data.items() if name.startswith("ukf.q_")}
+    keys = "imu.accel_noise ukf.q_accel_bias imu.gyro_noise ukf.q_gyro_bias"
+    return _four(data, keys, math.sqrt(_RATE_HZ), 1 / math.sqrt(_RATE_HZ))
+
+
 def qgroundcontrol(text: str) -> dict[str, float]:
     """Parse like QGroundControl: five tab-separated fields, 9 is a float; other lines are skipped."""
     values = {}
@@ -492,6 +512,8 @@ READERS: dict[str, Callable[[Path], Recovered]] = {
     "glim": _glim,
     "dlio": _dlio,
     "ros": _ros,
+    "autoware": _autoware,
+    "fusioncore": _fusioncore,
     "px4": _px4,
     "ardupilot": _ardupilot,
     "gazebo": _gazebo,

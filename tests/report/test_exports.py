@@ -24,6 +24,7 @@ from imucal.recording import Axis, Sensor, Source
 from imucal.report.exports import TARGETS, export, find_target, render
 from imucal.report.exports.config_numbers import AxisPolicy, ExportOptions, Numbers, flicker_bank
 from imucal.report.exports.target import comment, decimal, quoted, real
+from imucal.report.given import model_as_report
 from imucal.report.json_file import from_document, to_document
 from imucal.report.result import AxisReport, Report
 from imucal.report.typed_json import dumps
@@ -58,7 +59,7 @@ def _expected(report: Report, key: str, symbol: str) -> float:
 
 
 #: Symbols of formats that do not have N and K.
-_SYMBOLS = {"ros": {"N"}, "carla": {"N"}, "dlio": {"N~"}}
+_SYMBOLS = {"ros": {"N"}, "autoware": {"N"}, "carla": {"N"}, "dlio": {"N~"}}
 
 
 def _agree(report: Report, recovered: Recovered) -> None:
@@ -256,6 +257,8 @@ def test_a_file_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
         ("FAST-LIO2", "fast-lio"),
         ("nav2", "ros"),
         ("robot_localization", "ros"),
+        ("imu_corrector", "autoware"),
+        ("FusionCore", "fusioncore"),
     ],
 )
 def test_common_names_of_formats_are_accepted(asked: str, name: str) -> None:
@@ -381,6 +384,52 @@ def test_every_number_applies_to_the_rate_in_the_file(target: str, tmp_path: Pat
     one = "the rates differ: every number is for one stream at f = 200 Hz" in path.read_text()
     assert (own, one) == (TARGETS[target].own_rates, not TARGETS[target].own_rates)
     assert "the rates differ" not in render(_plain_report(), target)
+
+
+def _robot_report() -> Report:
+    """Return N of 0.01, 0.02 and 0.03 deg/s/√Hz and K of 1e-6 rad/s/√s; 0.001 m/s²/√Hz and 1e-5 m/s²/√s."""
+    degree = math.pi / 180
+    axes = [
+        axis_report(GYRO, axis, f"N={0.01 * i * degree!r} + K=1e-6", mean=-0.004 * i)
+        for i, axis in enumerate(_AXES, 1)
+    ]
+    axes += [axis_report(ACCEL, axis, "N=0.001 + K=1e-5") for axis in _AXES]
+    return replace(_plain_report(), axes=tuple(axes))
+
+
+def test_autoware_gets_the_deviation_of_a_sample_and_the_mean() -> None:
+    """At 200 Hz a sample has 14.142 times the density; Autoware subtracts the offset from a sample."""
+    data = yaml.safe_load(render(_robot_report(), "autoware"))["/**"]["ros__parameters"]
+    assert data == {
+        "angular_velocity_offset_x": -0.004,
+        "angular_velocity_offset_y": -0.008,
+        "angular_velocity_offset_z": -0.012,
+        "angular_velocity_stddev_xx": pytest.approx(0.0024682683),
+        "angular_velocity_stddev_yy": pytest.approx(0.0049365366),
+        "angular_velocity_stddev_zz": pytest.approx(0.0074048049),
+        "acceleration_stddev": pytest.approx(0.014142136),
+    }
+    text = render(_robot_report(), "autoware", ExportOptions(axis_policy="rms"))
+    assert "one number each; acceleration_stddev, rms: the root of the mean variance" in text
+    sheet = render(model_as_report({GYRO: "N=1e-4", ACCEL: "N=1e-3"}, rate_hz=200.0), "autoware")
+    assert "angular_velocity_offset_y: 0.0  # rad/s; unknown without a log" in sheet
+
+
+def test_fusioncore_gets_the_variance_of_a_bias_per_sample() -> None:
+    """(1e-6)²/200 = 5e-15 and (1e-5)²/200 = 5e-13; the noise of a sample stays a deviation."""
+    report = _robot_report()
+    data = yaml.safe_load(render(report, "fusioncore", fitted()))["fusioncore"]["ros__parameters"]
+    assert data == {
+        "imu.gyro_noise": pytest.approx(0.0074048049),
+        "imu.accel_noise": pytest.approx(0.014142136),
+        "ukf.q_gyro_bias": pytest.approx(5e-15),
+        "ukf.q_accel_bias": pytest.approx(5e-13),
+    }
+    tripled = render(report, "fusioncore", fitted(inflate={"white": 3.0, "walk": 3.0}))
+    data = yaml.safe_load(tripled)["fusioncore"]["ros__parameters"]
+    assert data["imu.gyro_noise"] == pytest.approx(3 * 0.0074048049)
+    assert data["ukf.q_gyro_bias"] == pytest.approx(9 * 5e-15)
+    assert "ukf.q_gyro_bias: 5.0e-15  # (rad/s)^2; K of" in render(report, "fusioncore", fitted())
 
 
 def test_some_formats_have_a_rate_for_each_sensor() -> None:

@@ -108,16 +108,39 @@ class BinaryDecoder:
 
     def decode(self, batch: Batch) -> list[NDArray[Any]]:
         """Return the wanted numbers of a batch; raises DamagedError for an unknown layout or a wrong size."""
+        groups = list(self._groups(batch))
+        blocks = [self._decode(batch.part(rows), skipped, layout) for rows, skipped, layout in groups]
+        if len(blocks) == 1:
+            return blocks[0]
+        order = np.argsort(np.concatenate([rows for rows, _, _ in groups]))
+        return [np.concatenate(parts)[order] for parts in zip(*blocks, strict=True)]
+
+    def write(self, batch: Batch, columns: Sequence[FloatArray]) -> None:
+        """Replace the wanted numbers, shape (n,) each, in the messages of a batch, whose buffer is mutable.
+
+        Only numbers that are one field can be replaced. Raises DamagedError as `decode` does.
+        """
+        data = np.frombuffer(batch.buffer, np.uint8)
+        for rows, skipped, layout in self._groups(batch):
+            starts = batch.starts[rows] + skipped
+            places, _ = self._walk(batch.buffer, starts, layout)
+            for (path, _), column in zip(self._columns, columns, strict=True):
+                at, dtype = places[path]
+                values = np.ascontiguousarray(column[rows], dtype)
+                size = values.itemsize
+                targets = (starts + at)[:, np.newaxis] + np.arange(size)
+                damaged_if(targets.size and int(targets.max()) >= data.size, "a message is cut off")
+                data[targets] = values.view(np.uint8).reshape(-1, size)
+
+    def _groups(self, batch: Batch) -> Iterator[tuple[IntArray, int, Layout]]:
+        """Yield the messages of each encapsulation: their rows, the bytes before the payload, the layout."""
         if self._ros1:
-            return self._decode(batch, 0, _ROS1)
+            yield np.arange(batch.n), 0, _ROS1
+            return
         damaged_if(int(batch.sizes.min()) < 4, "a message is too short for CDR")
         codes = gather(batch.buffer, batch.starts, 2).view(">u2")
-        if (codes == codes[0]).all():
-            return self._decode(batch, 4, _layout(int(codes[0])))
-        chosen = [np.flatnonzero(codes == code) for code in np.unique(codes)]
-        blocks = [self._decode(batch.part(rows), 4, _layout(int(codes[rows[0]]))) for rows in chosen]
-        order = np.argsort(np.concatenate(chosen))
-        return [np.concatenate(parts)[order] for parts in zip(*blocks, strict=True)]
+        for code in np.unique(codes).tolist():
+            yield np.flatnonzero(codes == code), 4, _layout(code)
 
     def _decode(self, batch: Batch, skipped: int, layout: Layout) -> list[NDArray[Any]]:
         starts = batch.starts + skipped

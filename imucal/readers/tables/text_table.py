@@ -188,6 +188,10 @@ class TextLog(Log):
         ]
         return [Loaded(first, findings), *map(Loaded, others)]
 
+    def layout_of(self, table: Table) -> TextLayout:
+        """Return the layout of the text of a table."""
+        return self._texts[table.name].layout
+
     def files(self) -> tuple[LogFileInfo, ...]:
         return self._files
 

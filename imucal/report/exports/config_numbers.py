@@ -235,9 +235,10 @@ class Numbers:
         return float(f"{self.axes(sensor)[0].rate_hz:.9g}")
 
     def one(self, sensor: Sensor, symbol: str) -> Number:
-        return self._number(self.chosen(sensor), symbol)
+        return self.joined(self.chosen(sensor), symbol)
 
-    def _number(self, axes: Sequence[AxisReport], symbol: str) -> Number:
+    def joined(self, axes: Sequence[AxisReport], symbol: str) -> Number:
+        """Return one number for some axes, by the axis policy."""
         if self.covers and symbol in COVERING:
             return self._covering(axes, symbol)
         numbers = [self.of(axis, symbol) for axis in axes]
@@ -252,7 +253,7 @@ class Numbers:
         return (self.axis(sensor, policy),) if policy in ("x", "y", "z") else self.axes(sensor)
 
     def each(self, sensor: Sensor, symbol: str) -> tuple[Number, ...]:
-        return tuple(self._number([axis], symbol) for axis in self.triad(sensor))
+        return tuple(self.joined([axis], symbol) for axis in self.triad(sensor))
 
     def pair(self, axes: Sequence[AxisReport], *, time_s: float | None = None) -> FilterNumbers:
         """Return white noise and a walk, or with `time_s` a Gauss-Markov bias, that cover some axes.

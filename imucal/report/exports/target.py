@@ -12,7 +12,7 @@ from importlib.resources import files
 from itertools import chain
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from imucal.errors import DataError
+from imucal.errors import DataError, Fix
 from imucal.frozen import frozen_alone
 from imucal.noise.terms import TERMS
 from imucal.prediction.filter_numbers import HORIZON_S, FilterNumbers
@@ -28,7 +28,7 @@ from imucal.report.exports.config_numbers import (
     WithBias,
     options_line,
 )
-from imucal.report.given import GIVEN
+from imucal.report.given import GIVEN, part_models
 from imucal.report.result import AxisReport, Report
 from imucal.units import G0
 
@@ -79,7 +79,8 @@ _GROWTH = {Sensor.GYROSCOPE: "rad/s^2", Sensor.ACCELEROMETER: "m/s^3"}
 class Formula:
     """Compute a number from a coefficient c and the rate f of the file's stream, in Hz.
 
-    ``{u}`` in the unit is replaced by the unit of the samples (N) or of their rate of change (K).
+    ``{u}`` in the unit is replaced by the unit of the samples (N) or of their rate of change (K), and ``{s}``
+    by the unit of the samples.
     """
 
     of: Callable[[float, float], float]
@@ -101,6 +102,8 @@ FORMULAS = {
     "^2": Formula(lambda c, _: c * c, "({u})^2/Hz"),
     " sqrt(f)": Formula(lambda c, f: c * math.sqrt(f), "{u}"),
     "^2 f": Formula(lambda c, f: c * c * f, "({u})^2"),
+    # FusionCore adds the variance of the bias once per IMU message, without dt.
+    "^2 / f": Formula(lambda c, f: c * c / f, "({s})^2"),
     # VINS averages two samples, but its covariance propagation adds half of the variance twice.
     " sqrt(2 f)": Formula(lambda c, f: c * math.sqrt(2 * f), "{u}"),
     # PX4 and ArduPilot use the filter's own period, not the IMU's rate.
@@ -140,7 +143,13 @@ class Key:
 
     @property
     def unit(self) -> str:
-        return self.formula.unit.format(u=_GROWTH[self.sensor] if self.symbol == "K" else self.sensor.unit)
+        own = self.sensor.unit
+        return self.formula.unit.format(u=_GROWTH[self.sensor] if self.symbol == "K" else own, s=own)
+
+    @property
+    def each_axis(self) -> bool:
+        """Whether the file has a number for each axis; the others follow the axis policy."""
+        return self.name.endswith("[]") or "{" in self.name
 
 
 class Entry(NamedTuple):
@@ -304,6 +313,8 @@ def _refuse_without_walk(report: Report, title: str) -> None:
     for axis in report.axes:
         symbols = {term.symbol for term in axis.fit.model.terms}
         if axis.fit.method == GIVEN and symbols <= {"N", "Q"}:
+            if isinstance(part := report.settings.get("sensor"), str):
+                raise _without_bias(part, report, title)
             msg = (
                 f"the model of the {axis.sensor} has no slow noise, and {title} needs a random walk of its "
                 "bias; "
@@ -312,12 +323,37 @@ def _refuse_without_walk(report: Report, title: str) -> None:
             raise DataError(msg)
 
 
+def _without_bias(name: str, report: Report, title: str) -> DataError:
+    """Return the error for a data sheet that prints no slow noise, with a command that completes it."""
+    from imucal.sensors import find_sensor
+    from imucal.sensors.part import WALK_SPREAD
+
+    part = find_sensor(name)
+    models = part_models(part)
+    missing = [sensor for sensor in models if not part.sensors[sensor].terms.keys() & {"B", "K"}]
+    names = " and the ".join(map(str, missing))
+    problem = f"the data sheet gives no B of the {names}, and {title} needs a random walk of its bias"
+    walks = {sensor: part.typical_walk(sensor) for sensor in missing}
+    if None in walks.values():
+        advice = "record a log at rest and run 'imucal fit' on it"
+        return DataError(problem, place=part.name, fix=Fix(advice))
+    for sensor, walk in walks.items():
+        models[sensor] += f" + K={walk:g}"
+    options = " ".join(f'--{sensor.short} "{text}"' for sensor, text in models.items())
+    command = f"imucal export {options} --rate {report.axes[0].rate_hz:g}"
+    advice = (
+        "record a log at rest and run 'imucal fit' on it, or export with the median K of measured MEMS "
+        f"sensors, which is a guess within a factor of {WALK_SPREAD}: {command} --to …"
+    )
+    return DataError(problem, place=part.name, fix=Fix(advice))
+
+
 def _entries(numbers: Numbers, keys: Iterable[Key]) -> Iterator[Entry]:
     for key in keys:
         if key.sensor not in numbers.sensors:
             continue
-        one_each = key.name.endswith("[]") or "{" in key.name
-        chosen = numbers.each(key.sensor, key.symbol) if one_each else (numbers.one(key.sensor, key.symbol),)
+        each, one = numbers.each, numbers.one
+        chosen = each(key.sensor, key.symbol) if key.each_axis else (one(key.sensor, key.symbol),)
         values = [key.formula.of(number.value, numbers.stream_hz) for number in chosen]
         if key.name.endswith("[]"):
             yield Entry(key.name[:-2], key.sensor, key.symbol, values, key.unit, chosen)

@@ -1,0 +1,1 @@
+"""Tests of the parts by name and their figures."""
