@@ -19,6 +19,7 @@ from imucal.clock import Clock
 from imucal.errors import ArgumentError, Fix, WriteError
 from imucal.frozen import frozen, frozen_alone
 from imucal.noise import NoiseModel
+from imucal.readers.compression import lz4_for_ros1
 from imucal.recording import AXES, AxisSeries, Recording, Sensor, Source
 
 #: Time of the first simulated sample: 2026-01-01 00:00 UTC, in ns.
@@ -192,6 +193,7 @@ def _write_ros1_bag(path: Path, parts: Iterator[Rows]) -> None:
 
     writer = Writer(path)
     writer.set_compression(Writer.CompressionFormat.LZ4)
+    writer.compressor = lz4_for_ros1
     _fill(writer, "ROS1_NOETIC", _stamped(parts, _ros1_messages))
 
 

@@ -40,7 +40,7 @@ BELOW |= {
     "noise": BASE,
     "sensors": BASE | {"noise"},
     "fitting": BASE | {"allan", "noise", "screening"},
-    "simulation": BASE | {"noise"},
+    "simulation": BASE | {"noise", "readers"},
     "prediction": BASE | {"allan", "noise", "fitting"},
     "report": BASE | {"allan", "noise", "sensors", "fitting", "prediction"},
 }

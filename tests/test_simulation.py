@@ -63,6 +63,14 @@ def test_a_log_does_not_depend_on_the_size_of_blocks(
     assert parts.read_bytes() == whole.read_bytes()
 
 
+def test_a_bag_has_frames_that_ros1_reads(tmp_path: Path) -> None:
+    """Its decoder wants independent blocks and a checksum, and refuses a frame with its size."""
+    path = tmp_path / "log.bag"
+    write_log(short_recording(), path)
+    _, *frames = path.read_bytes().split(b"\x04\x22\x4d\x18")
+    assert {frame[0] for frame in frames} == {0b01100100}
+
+
 @pytest.mark.slow
 def test_a_long_log_is_written_in_blocks(tmp_path: Path) -> None:
     """Its messages have 80 MB, which would exceed the memory of a block several times."""

@@ -195,7 +195,9 @@ def _rewrite_packed(container: Container, target: Path, job: Job) -> None:
             unpack_file(container.path, file, lambda _: None)
         _rewrite_plain(container, plain, corrected, replace(job, progress=lambda _: None))
         with corrected.open("rb") as source, target.open("wb") as file:
-            zstandard.ZstdCompressor().copy_stream(source, file)
+            # A frame states its size, as those of rosbag2 do.
+            size = corrected.stat().st_size
+            zstandard.ZstdCompressor().copy_stream(source, file, size=size)
     job.progress(container.size)
 
 

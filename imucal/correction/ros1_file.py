@@ -10,6 +10,7 @@ from typing import BinaryIO
 import numpy as np
 
 from imucal.correction.job import MARK, AlreadyCorrectedError, Job
+from imucal.readers.compression import lz4_for_ros1
 from imucal.readers.containers.container import Batch
 from imucal.readers.containers.ros1 import (
     BAG,
@@ -126,10 +127,7 @@ def _changed_chunk(data: bytes, entry: Record, job: Job) -> bytes:
 
 def _compressed(kind: str, data: bytes) -> bytes:
     if kind == "lz4":
-        import lz4.frame
-
-        compressed: bytes = lz4.frame.compress(data)
-        return compressed
+        return lz4_for_ros1(data)
     if kind == "bz2":
         return bz2.compress(data)
     damaged_if(kind != "none", f"the compression {kind} is unknown", "compression")

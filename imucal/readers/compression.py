@@ -1,4 +1,4 @@
-"""Decompress chunks and files: zstd, lz4, bz2.
+"""Decompress chunks and files, zstd, lz4 and bz2, and compress chunks for ROS 1.
 
 Sizes in damaged or hostile files are checked before memory is allocated.
 """
@@ -21,6 +21,7 @@ __all__ = [
     "crc32",
     "decompress",
     "keep_freed_memory",
+    "lz4_for_ros1",
     "most_unpacked",
     "unpack_file",
 ]
@@ -45,6 +46,17 @@ KINDS = ("", "none", "zstd", "lz4", "bz2")
 def most_unpacked(packed: int) -> int:
     """Return the largest plausible size of a file of `packed` bytes after unpacking, in bytes."""
     return max(_SMALL, _MAX_FILE_RATIO * packed)
+
+
+def lz4_for_ros1(data: bytes) -> bytes:
+    """Return an lz4 frame that ROS 1 reads: without its size, of independent blocks, with a checksum.
+
+    Source: ros_comm, ``roslz4/src/lz4s.c``, which refuses all other frames.
+    """
+    import lz4.frame
+
+    packed: bytes = lz4.frame.compress(data, store_size=False, block_linked=False, content_checksum=True)
+    return packed
 
 
 def keep_freed_memory() -> None:

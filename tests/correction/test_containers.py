@@ -1,6 +1,7 @@
 """Tests of corrected logs of messages: only the samples of the IMU change, in every container."""
 
 import hashlib
+import re
 import shutil
 import sqlite3
 from collections.abc import Callable
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import zstandard
 
 import imucal
 from imucal.arrays import FloatArray
@@ -148,6 +150,30 @@ def test_only_samples_of_the_imu_change(name: str, tmp_path: Path) -> None:
     with raises(DataError, "already corrected"):
         apply_to_log(FOUND, out, tmp_path / "twice", OPTIONS)
     assert not (tmp_path / "twice").exists()
+
+
+def test_the_chunks_of_a_bag_are_frames_that_ros1_reads(tmp_path: Path) -> None:
+    """roslz4 refuses a frame with its size, with linked blocks, or without a checksum of its content."""
+    log = LOGS["bag-lz4"](tmp_path, samples(3000, seed=90))
+    out = tmp_path / "out.bag"
+    apply_to_log(FOUND, log, out, OPTIONS)
+    changed = frames(out.read_bytes())
+    assert len(changed) > 0
+    assert set(changed) == {0b01100100}
+
+
+def test_a_packed_file_states_its_size(tmp_path: Path) -> None:
+    """Some versions of rosbag2 need it."""
+    log = LOGS["db3-file"](tmp_path, samples(300, seed=91))
+    apply_to_log(FOUND, log, tmp_path / "out", OPTIONS)
+    (file,) = (tmp_path / "out").glob("*.zstd")
+    head = zstandard.get_frame_parameters(file.read_bytes()[:18])
+    assert head.content_size not in {zstandard.CONTENTSIZE_UNKNOWN, 0}
+
+
+def frames(data: bytes) -> list[int]:
+    """Return the flags of all lz4 frames in a file: version, independent blocks, checksums and size."""
+    return [data[match.end()] for match in re.finditer(rb"\x04\x22\x4d\x18", data)]
 
 
 def test_a_file_without_the_imu_stays_byte_for_byte(tmp_path: Path) -> None:
