@@ -19,7 +19,7 @@ from imucal.correction.ros1_file import rewrite_ros1
 from imucal.correction.sqlite_file import rewrite_sqlite
 from imucal.correction.targets import targets_of
 from imucal.correction.text_file import TableCorrection, rewrite_text
-from imucal.errors import DataError, Fix, ReadError, WriteError
+from imucal.errors import ArgumentError, DataError, Fix, ReadError, WriteError
 from imucal.findings import Finding
 from imucal.frozen import frozen
 from imucal.readers.assemble import DAMAGE, assemble
@@ -38,6 +38,17 @@ from imucal.recording import Recording
 _ZSTD = (".zst", ".zstd")
 
 
+#: Suffix of a file -> its format. Text tables have many suffixes.
+_FORMATS = {
+    ".mcap": "MCAP",
+    ".bag": "ROS 1 bag",
+    ".db3": "SQLite",
+    ".csv": "text",
+    ".tsv": "text",
+    ".txt": "text",
+}
+
+
 @frozen
 class AppliedLog:
     """A corrected log: its file or folder, the original, the corrected topics or columns, and findings."""
@@ -54,8 +65,9 @@ def apply_to_log(calibration: Intrinsics, path: Path, out: Path, options: ReadOp
 
     Raises DataError if the log and the calibration do not fit, or the log is damaged or already corrected;
     ReadError if it can't be read or its format can't be written; WriteError if `out` exists or can't be
-    written; ChoiceError as reading does.
+    written; ArgumentError if `out` has the suffix of another format; ChoiceError as reading does.
     """
+    _refuse_suffix(path, out)
     if out.exists():
         raise WriteError("exists already", place=out, fix=Fix("choose another name, or remove it"))
     if mark_file(path).exists():
@@ -96,6 +108,15 @@ def apply_to_log(calibration: Intrinsics, path: Path, out: Path, options: ReadOp
         samples=max(series.n for series in recording.series),
         findings=(*recording.findings, *findings),
     )
+
+
+def _refuse_suffix(path: Path, out: Path) -> None:
+    """Raise ArgumentError if the name of the corrected log states another format than it has."""
+    own = _FORMATS.get(path.suffix.lower())
+    named = _FORMATS.get(out.suffix.lower())
+    if named is not None and own is not None and named != own:
+        problem = f"names the format {named}, and the corrected log has the format of the log, {own}"
+        raise ArgumentError(problem, place=out, fix=Fix(f"name it {out.with_suffix(path.suffix).name}"))
 
 
 def _halves(progress: Progress | None) -> tuple[Progress | None, Progress | None]:

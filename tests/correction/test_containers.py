@@ -17,7 +17,7 @@ import imucal
 from imucal.arrays import FloatArray
 from imucal.calibration.document import Intrinsics
 from imucal.correction.rewriting import apply_to_log
-from imucal.errors import DataError, ReadError, WriteError
+from imucal.errors import ArgumentError, DataError, ReadError, WriteError
 from imucal.readers.containers.mcap import CHUNK, MAGIC, each_record, unpack, walk_records
 from imucal.readers.read_options import ReadOptions
 from tests.calibration.test_exports import FOUND
@@ -273,11 +273,20 @@ def test_damaged_and_unfit_logs_are_refused(tmp_path: Path) -> None:
     with raises(DataError, "compressed one by one"):
         apply_to_log(FOUND, packed, out, OPTIONS)
     with raises(WriteError, "exists already"):
-        apply_to_log(FOUND, bag, whole, OPTIONS)
+        apply_to_log(FOUND, bag, short, OPTIONS)
     counts = replace(FOUND, said_si=False)
     with raises(DataError, "the calibration poses.mcap is in raw counts"):
         apply_to_log(counts, whole, out, OPTIONS)
     assert not out.exists()
+
+
+@pytest.mark.parametrize(("log", "out"), [("mcap-zstd", "out.csv"), ("bag-none", "out.MCAP")])
+def test_a_name_of_another_format_is_refused(log: str, out: str, tmp_path: Path) -> None:
+    """The corrected log has the format of the log; nothing is written."""
+    path = LOGS[log](tmp_path, samples(50, seed=92))
+    with raises(ArgumentError, f"name it out{path.suffix}"):
+        apply_to_log(FOUND, path, tmp_path / out, OPTIONS)
+    assert not (tmp_path / out).exists()
 
 
 def test_other_formats_are_refused(tmp_path: Path) -> None:
