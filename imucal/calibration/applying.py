@@ -1,6 +1,6 @@
 """Correct samples: f = C_a (raw - b_a), w = C_g (raw - b_g - G f)."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -55,6 +55,22 @@ class Correction(ReadOnlyArrays):
             rest = rest - force @ self.G.T
         corrected: FloatArray = rest @ self.C_g.T
         return corrected
+
+    def samples(
+        self, raw: Mapping[Sensor, FloatArray], sensed: FloatArray | None = None
+    ) -> dict[Sensor, FloatArray]:
+        """Return the corrected samples of each sensor, shape (n, 3), in SI.
+
+        The specific force for g-sensitivity is that of the accelerometer in `raw`; without one it is
+        `sensed`, at the times of the gyroscope.
+        """
+        found: dict[Sensor, FloatArray] = {}
+        if Sensor.ACCELEROMETER in raw:
+            found[Sensor.ACCELEROMETER] = self.force(raw[Sensor.ACCELEROMETER])
+        if Sensor.GYROSCOPE in raw:
+            force = found.get(Sensor.ACCELEROMETER, sensed)
+            found[Sensor.GYROSCOPE] = self.rate(raw[Sensor.GYROSCOPE], force)
+        return found
 
 
 def unit_factor(recording: Recording, sensor: Sensor) -> float:

@@ -111,14 +111,16 @@ def _of_librealsense(file: Path, document: Mapping[str, Any]) -> Intrinsics:
 
 def _of_yaml(file: Path, text: str) -> Intrinsics:
     from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
+    from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
     plain = text.partition("\n")[2] if text.startswith(_OPENCV) else text
     try:
         document = YAML(typ="safe", pure=True).load(plain)
+    except MarkedYAMLError as error:
+        line = "" if error.problem_mark is None else f" in line {error.problem_mark.line + 1}"
+        raise ReadError(f"is no YAML ({error.problem}{line}); {_EXPECTED}", place=file) from error
     except (YAMLError, ValueError, RecursionError) as error:
-        why = " ".join(str(error).split())[:120]
-        raise ReadError(f"is no YAML ({why}); {_EXPECTED}", place=file) from error
+        raise ReadError(f"is no YAML; {_EXPECTED}", place=file) from error
     if not isinstance(document, dict):
         raise ReadError(f"is no calibration; {_EXPECTED}", place=file)
     readers: dict[str, Callable[[Path, Mapping[str, Any]], Intrinsics]] = {

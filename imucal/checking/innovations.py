@@ -13,12 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from imucal._version import __version__
 from imucal.arrays import FloatArray
-from imucal.checking.residuals import WITHIN, verdict_of
+from imucal.checking.residuals import WITHIN, result_of, verdict_of
 from imucal.checking.verdict import CheckResult, Row, Verdict
 from imucal.errors import Fix, LimitsError
-from imucal.grading import Grade, NoiseVerdict
 from imucal.report.numbers import Quantity
 
 __all__ = ["are_innovations", "check_innovations"]
@@ -73,18 +71,7 @@ def check_innovations(path: Path, dof: int | None = None) -> CheckResult:
             components = np.full_like(nis, dof) if dof is not None or sizes is None else cells[:, sizes]
             there = np.isfinite(nis) & (components > 0)
             rows.append(_row(path, name.strip(), nis[there], components[there]))
-    grade: Grade = "good" if all(row.verdict == "pass" for row in rows) else "check"
-    passed = sum(row.verdict == "pass" for row in rows)
-    return CheckResult(
-        source=str(path),
-        level=_LEVEL,
-        rows=tuple(rows),
-        undecided_fails=False,
-        version=__version__,
-        noise=NoiseVerdict(
-            grade=grade, sentence=f"{passed} of {len(rows)} innovations are as expected", axes=()
-        ),
-    )
+    return result_of(path, rows, "innovations", _LEVEL)
 
 
 def _read(path: Path) -> tuple[list[str], FloatArray]:

@@ -14,13 +14,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from imucal._version import __version__
 from imucal.checking.config_files import Setting, noise_rows, rate_rows, read_settings
 from imucal.checking.limits import text_of
-from imucal.checking.residuals import NO_DATA, WITHIN, Expected, verdict_of
+from imucal.checking.residuals import NO_DATA, WITHIN, Expected, result_of, verdict_of
 from imucal.checking.verdict import CheckResult, Row, Verdict
 from imucal.errors import Fix, LimitsError
-from imucal.grading import Grade, NoiseVerdict
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report.exports import TARGETS
@@ -33,12 +31,14 @@ __all__ = ["are_results", "check_numbers", "check_residuals"]
 _EXPECTED = "the results of Kalibr's camera-IMU calibration"
 _TITLE = "Normalized Residuals"
 _END = "Residuals"
+#: Confidence level of a report's intervals; residuals have none.
+_LEVEL = 0.95
 #: First bytes in which the title must be.
 _HEAD = 4096
 #: Largest ratio of the mean to the median of ordinary residuals; 1.04 is expected, and calibrations that
 #: people published have 1.1 to 1.3, because the noise is larger in fast motion.
 _ORDINARY = 1.5
-#: Degrees of freedom of a residual, and what a larger one means besides the noise.
+#: Name of a residual in the results -> its degrees of freedom, and its name in a row.
 _KINDS = {
     "Gyroscope": (3, Sensor.GYROSCOPE.short),
     "Accelerometer": (3, Sensor.ACCELEROMETER.short),
@@ -97,17 +97,7 @@ def check_residuals(path: Path) -> CheckResult:
     Raises LimitsError if the file can't be read or has no residuals.
     """
     rows = tuple(map(_residual_row, _residuals(path)))
-    verdicts = {row.verdict for row in rows}
-    grade: Grade = "good" if verdicts == {"pass"} else "check"
-    sentence = f"{sum(row.verdict == 'pass' for row in rows)} of {len(rows)} residuals are as expected"
-    return CheckResult(
-        source=str(path),
-        level=0.95,
-        rows=rows,
-        undecided_fails=False,
-        version=__version__,
-        noise=NoiseVerdict(grade=grade, sentence=sentence, axes=()),
-    )
+    return result_of(path, rows, "residuals", _LEVEL)
 
 
 def check_numbers(path: Path, report: Report, imu: int | None = None) -> tuple[Row, ...]:

@@ -4,8 +4,13 @@ A residual is the square root of ``e' R^-1 e``. If R is the covariance of the er
 chi-square distributed with as many degrees of freedom as e has components.
 """
 
-from imucal.checking.verdict import Verdict
+from collections.abc import Sequence
+from pathlib import Path
+
+from imucal._version import __version__
+from imucal.checking.verdict import CheckResult, Row, Verdict
 from imucal.frozen import frozen
+from imucal.grading import Grade, NoiseVerdict
 
 #: A noise within this factor of what the residuals show passes.
 WITHIN = 2.0
@@ -46,3 +51,18 @@ def verdict_of(factor: float) -> tuple[Verdict, str]:
         return "pass", f"the noise is right within a factor of {WITHIN:g}"
     too_large = f"the noise is {1 / factor:.3g} times too large"
     return ("undecided" if factor >= 1 / ON_PURPOSE else "fail"), too_large
+
+
+def result_of(path: Path, rows: Sequence[Row], what: str, level: float) -> CheckResult:
+    """Return the result of a file of an estimator; `what` names what its rows judge."""
+    passed = sum(row.verdict == "pass" for row in rows)
+    grade: Grade = "good" if passed == len(rows) else "check"
+    sentence = f"{passed} of {len(rows)} {what} are as expected"
+    return CheckResult(
+        source=str(path),
+        level=level,
+        rows=tuple(rows),
+        undecided_fails=False,
+        version=__version__,
+        noise=NoiseVerdict(grade=grade, sentence=sentence, axes=()),
+    )

@@ -95,17 +95,11 @@ class MessageCorrection:
         )
 
     def _corrected(self, raw: dict[Sensor, FloatArray], times: FloatArray) -> dict[Sensor, FloatArray]:
-        found: dict[Sensor, FloatArray] = {}
         force = None
-        if Sensor.ACCELEROMETER in raw:
-            force = self._correction.force(raw[Sensor.ACCELEROMETER])
-            found[Sensor.ACCELEROMETER] = force
-        if Sensor.GYROSCOPE in raw:
-            if self._force is not None:
-                known, forces = self._force
-                force = np.column_stack([np.interp(times, known, column) for column in forces.T])
-            found[Sensor.GYROSCOPE] = self._correction.rate(raw[Sensor.GYROSCOPE], force)
-        return found
+        if self._force is not None and Sensor.GYROSCOPE in raw:
+            known, forces = self._force
+            force = np.column_stack([np.interp(times, known, column) for column in forces.T])
+        return self._correction.samples(raw, force)
 
 
 def _stamp(own: dict[Sensor, Target]) -> int | None:

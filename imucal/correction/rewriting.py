@@ -25,7 +25,7 @@ from imucal.frozen import frozen
 from imucal.readers.assemble import DAMAGE, assemble
 from imucal.readers.choose import choose
 from imucal.readers.compression import unpack_file
-from imucal.readers.containers.container import Batch, Container
+from imucal.readers.containers.container import Container
 from imucal.readers.files import DamagedError, naming
 from imucal.readers.formats import open_log
 from imucal.readers.message_logs import MessageLog
@@ -89,8 +89,9 @@ def apply_to_log(calibration: Intrinsics, path: Path, out: Path, options: ReadOp
                     write(min(count, size), size)
 
             if isinstance(log, MessageLog):
-                job = Job(keys=frozenset(), patch=_nothing, mark=mark_text(calibration.source), progress=done)
-                _rewrite_messages(log, path, scratch, MessageCorrection(log, targets, correction), job)
+                messages = MessageCorrection(log, targets, correction)
+                mark = mark_text(calibration.source)
+                _rewrite_messages(log, path, scratch, messages, mark=mark, progress=done)
             elif isinstance(log, TextLog):
                 table = TableCorrection(
                     layout=log.layout_of(targets[0].table), targets=targets, correction=correction
@@ -137,10 +138,6 @@ def _corrected_before(path: Path) -> DataError:
     return DataError("it is already corrected", place=path, fix=Fix("give the original log"))
 
 
-def _nothing(key: int, batch: Batch) -> None:
-    """Change no message; each file has its own patch."""
-
-
 def _unwritable(log: Log, path: Path) -> ReadError:
     problem = f"the format {log.form} can't be written; expected MCAP, a ROS bag, or a text table"
     return ReadError(problem, place=path, fix=Fix("convert it first"))
@@ -167,7 +164,13 @@ def _damage_refused(path: Path) -> Iterator[None]:
 
 
 def _rewrite_messages(
-    log: MessageLog, path: Path, scratch: Path, messages: MessageCorrection, job: Job
+    log: MessageLog,
+    path: Path,
+    scratch: Path,
+    messages: MessageCorrection,
+    *,
+    mark: str,
+    progress: Callable[[int], None],
 ) -> None:
     """Write the files of a log of messages; a folder keeps its other files."""
     before = 0
@@ -178,10 +181,11 @@ def _rewrite_messages(
         target = scratch / container.path.name if path.is_dir() else scratch
 
         def done(read: int, before: int = before) -> None:
-            job.progress(before + read)
+            progress(before + read)
 
-        own = replace(job, keys=messages.keys(number), patch=partial(messages.patch, number), progress=done)
-        _rewrite_container(container, target, own)
+        patch = partial(messages.patch, number)
+        job = Job(keys=messages.keys(number), patch=patch, mark=mark, progress=done)
+        _rewrite_container(container, target, job)
         before += container.size
 
 

@@ -127,11 +127,5 @@ def _written(cell: bytes, value: float, decimal: str) -> bytes:
 def _corrected(raw: FloatArray, targets: Sequence[Target], correction: Correction) -> FloatArray:
     """Return corrected numbers, shape (n, 3 per target), in the units of the log."""
     parts = {one.sensor: raw[:, 3 * place : 3 * place + 3] * one.factor for place, one in enumerate(targets)}
-    found: dict[Sensor, FloatArray] = {}
-    force = None
-    if Sensor.ACCELEROMETER in parts:
-        force = correction.force(parts[Sensor.ACCELEROMETER])
-        found[Sensor.ACCELEROMETER] = force
-    if Sensor.GYROSCOPE in parts:
-        found[Sensor.GYROSCOPE] = correction.rate(parts[Sensor.GYROSCOPE], force)
+    found = correction.samples(parts)
     return np.hstack([found[one.sensor] / one.result for one in targets])

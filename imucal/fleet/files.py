@@ -22,7 +22,7 @@ from imucal.processes import try_side_work
 from imucal.report.out_folder import OutFolder
 from imucal.report.typed_json import JsonObject, picked, to_json
 
-SCHEMA = "imucal/fleet/2"
+SCHEMA = "imucal/fleet/1"
 
 _COLUMNS = (
     *("model", "sensor", "axis", "term", "unit_si", "unit", "logs", "value", "low", "high", "odd", "p_odd"),

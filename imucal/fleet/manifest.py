@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from imucal.errors import ManifestError
+from imucal.errors import ImucalError, ManifestError
 from imucal.fleet.logs import LogTask, label_pattern
 from imucal.recording import Sensor
 from imucal.remote import is_url
@@ -54,11 +54,11 @@ def read_manifest(file: Path) -> list[LogTask]:
     for line, row in enumerate(rows, 2):
         if not any(row):
             continue
-        try:
-            log = _of_row(heading, row, file.parent)
-        except ValueError as error:
-            wrong.append(f"{file}:{line}: {error}")
+        problems = _problems(heading, row)
+        if problems:
+            wrong.append(f"{file}:{line}: {'; '.join(problems)}")
             continue
+        log = _of_row(heading, row, file.parent)
         if log.path in logs:
             wrong.append(f"{file}:{line}: {log.path} is duplicated; expected one row per log")
         logs[log.path] = log
@@ -68,34 +68,52 @@ def read_manifest(file: Path) -> list[LogTask]:
     return list(logs.values())
 
 
-def _of_row(heading: Sequence[str], row: Sequence[str], folder: Path) -> LogTask:
-    """Return the log of a row; raises ValueError, which names each wrong cell."""
+def _problems(heading: Sequence[str], row: Sequence[str]) -> list[str]:
+    """Return what is wrong with each cell of a row; nothing for a valid one."""
     if len(row) != len(heading):
-        raise ValueError(f"{len(row)} cells, expected {len(heading)} as in the headings")
-    cells: dict[str, Any] = {}
-    wrong: list[str] = []
-    for name, text in zip(heading, row, strict=True):
-        if text:
-            try:
-                cells[name] = meant(_COLUMNS.get(name, _ANY), text, f"column {name!r} is")
-            except ValueError as error:
-                wrong.append(str(error))
-    place = cells.pop("path", "")
-    if not place:
-        wrong.append("no path; expected the path of a log")
-    if wrong:
-        raise ValueError("; ".join(wrong))
+        return [f"{len(row)} cells, expected {len(heading)} as in the headings"]
+    cells = dict(zip(heading, row, strict=True))
+    columns = {name: _COLUMNS.get(name, _ANY) for name in heading}
+    wrong = [
+        _unlike(columns[name], text, f"column {name!r} is")
+        for name, text in cells.items()
+        if text and parsed(columns[name], text) is None
+    ]
+    return wrong if cells["path"] else [*wrong, "no path; expected the path of a log"]
+
+
+def _of_row(heading: Sequence[str], row: Sequence[str], folder: Path) -> LogTask:
+    """Return the log of a valid row."""
+    cells = {
+        name: parsed(_COLUMNS.get(name, _ANY), text)
+        for name, text in zip(heading, row, strict=True)
+        if text and name != "path"
+    }
+    place = row[heading.index("path")]
     reading = {name: cells.pop(name) for name in _COLUMNS if name in cells and name not in LABELS}
     return LogTask(place=place if is_url(place) else str(folder / place), labels=cells, reading=reading)
 
 
-def meant(column: Column, text: Any, name: str, error: type[Exception] = ValueError) -> Any:  # noqa: ANN401
-    """Return the parsed value; raise `error` with the name, the value and what was expected."""
-    what, parse, fits = column
+def parsed(column: Column, text: Any) -> Any:  # noqa: ANN401 - of any column
+    """Return the value of a text; None if it does not fit the column."""
+    _, parse, fits = column
     with suppress(ValueError, KeyError, TypeError):
-        if fits(value := parse(text)):
-            return value
-    raise error(f"{name} {text!r}, expected {what}")
+        value = parse(text)
+        return value if fits(value) else None
+    return None
+
+
+def meant(column: Column, text: Any, name: str, error: type[ImucalError]) -> Any:  # noqa: ANN401
+    """Return the parsed value; raise `error` with the name, the value and what was expected."""
+    value = parsed(column, text)
+    if value is None:
+        raise error(_unlike(column, text, name))
+    return value
+
+
+def _unlike(column: Column, text: Any, name: str) -> str:  # noqa: ANN401
+    """Return the sentence about a text that does not fit its column."""
+    return f"{name} {text!r}, expected {column[0]}"
 
 
 def _unit_of(sensor: Sensor, such_as: str) -> Column:

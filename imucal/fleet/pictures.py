@@ -36,8 +36,12 @@ if TYPE_CHECKING:
 
 _DPI = 110
 _BOUND = "#8a5200"
-#: Most units with names; height of a row and of the tallest panel, in inches.
-_NAMED, _ROW, _TALLEST = 60, 0.17, 9.0
+#: Most units with names: the names of more would be too small to read.
+_NAMED = 60
+#: Height of a row in inches: a line of the smallest text.
+_ROW = 0.17
+#: Height of the tallest panel in inches: a page.
+_TALLEST = 9.0
 #: Most characters of a name.
 _LONGEST = 20
 _SMALL: Style = {"fontsize": SMALL_SIZE, "color": INK}

@@ -159,11 +159,8 @@ def fleet_settings(folder: str | Path, asked: Mapping[str, Any]) -> FleetSetting
 def _meant(name: str, value: Any) -> Any:  # noqa: ANN401 - of any argument
     if name == "labels":
         label_pattern(value)
-    try:
-        if name == "model" and value != "auto":
-            return structure_text(parse_structure(value))
-    except ValueError as error:
-        raise ArgumentError(str(error)) from error
+    if name == "model" and value != "auto":
+        return structure_text(parse_structure(value))
     return meant(_ARGUMENTS[name], value, name, ArgumentError) if name in _ARGUMENTS else value
 
 

@@ -25,7 +25,7 @@ from imucal.frozen import frozen
 from imucal.readers.foreign import FLEET_FILES
 from imucal.report.typed_json import to_json
 
-SCHEMA = "imucal/fleet-store/2"
+SCHEMA = "imucal/fleet-store/1"
 #: Results of a log. The first three depend on the log alone; the others may change in another run.
 STATUSES = ("ok", "unreadable", "no-data", "memory", "timeout", "crash")
 #: Reports of single logs.

@@ -84,10 +84,8 @@ def work_on(task: LogTask, settings: FleetSettings) -> LogRow:
     except ImucalError as error:
         ended = "unreadable", f"{error.below(task.path)}"
         code = error.code
-    except ValueError as error:
-        ended = "unreadable", str(error)
     except OSError as error:
-        ended = "unreadable", error.strerror or str(error)
+        ended = "unreadable", f"{error.strerror or error}"
     except Exception as error:  # noqa: BLE001 - one log's fault must not cost the others their results
         ended = "crash", f"internal error ({type(error).__name__}: {error}); please report it"
     row |= {"status": ended[0], "reason": ended[1], "code": code, "finished": time.time()}

@@ -94,7 +94,7 @@ def _sheet_lines(report: Report, axis: AxisReport) -> list[SheetLine]:
     try:
         part = find_sensor(name)
     except ChoiceError:
-        # The report is older than the table of parts.
+        # An edited report may name an unknown part: the picture has no line for it.
         return []
     terms = [term for symbol in ("N", "B") if (term := part.term(axis.sensor, symbol))]
     return [

@@ -34,7 +34,7 @@ from imucal.recording import Sensor
 from tests.fleet.simulated_store import write_store
 
 _SCHEMA = json.loads(
-    (resources.files("imucal.fleet") / "schema" / "fleet-2.schema.json").read_text(encoding="utf-8")
+    (resources.files("imucal.fleet") / "schema" / "fleet-1.schema.json").read_text(encoding="utf-8")
 )
 
 

@@ -22,7 +22,10 @@ from tests.report.synthetic import axis_report, consumer_report
 #: N of the BMI088 in rad/s/sqrt(Hz).
 SHEET = 0.00024435
 #: Steps of the MPU-6050 at 250 deg/s and 2 g, in SI.
-GYRO_STEP, ACCEL_STEP = np.radians(1 / 131), G0 / 16384
+#: Step of the MPU-6050 in its range of 250 deg/s, in rad/s.
+GYRO_STEP = np.radians(1 / 131)
+#: Step of the MPU-6050 in its range of 2 g, in m/s^2.
+ACCEL_STEP = G0 / 16384
 
 
 def _recording(gyro: FloatArray, accel: FloatArray, values: dict[str, str] | None = None) -> Recording:
