@@ -28,8 +28,6 @@ def read_only(array: NDArray[T]) -> NDArray[T]:
 class ReadOnlyArrays:
     """A frozen dataclass whose arrays are read-only and have the types of their annotations."""
 
-    __slots__ = ()
-
     def __post_init__(self) -> None:
         value: Any = self
         for field in fields(value):

@@ -6,10 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.frozen import frozen
 
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Segment:
     """A run of samples without a gap, ``samples[start:stop]``; its first sample is at ``offset * tau0``."""
 
@@ -23,7 +21,7 @@ class Segment:
         return self.stop - self.start
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Gap:
     """Missing samples between two segments; `start_s` of the first, in s from the first sample."""
 
@@ -32,7 +30,7 @@ class Gap:
     duration_s: float
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Clock:
     """The times of samples on an even grid.
 

@@ -9,13 +9,12 @@ A term that one report estimates and the other bounds is tested against zero wit
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 from imucal.arguments import takes
 from imucal.errors import ArgumentError, DataError
 from imucal.fitting.noise_fit import Estimate
-from imucal.frozen import frozen
 from imucal.multiple_tests import holm
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
@@ -29,7 +28,7 @@ Outcome: TypeAlias = Literal["differs", "same", "bounded", "only-a", "only-b"]
 _TIME = ".T"
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Difference:
     """One term of one axis in both reports: the estimates a and b, None if a report has none.
 
@@ -58,7 +57,7 @@ class Difference:
         return self.b.value / self.a.value
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Comparison:
     """The comparison of the reports of two logs with the paths `a` and `b`.
 

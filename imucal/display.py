@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 class Displayed:
     """A value with a text of at most twelve lines, a table and a data frame."""
 
-    __slots__ = ()
     #: Module with `text_of`, `html_of` and `frame_of`, which take the value.
     drawn_by: ClassVar[str] = "imucal.report.notebook"
 

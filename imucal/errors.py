@@ -31,7 +31,7 @@ ERROR_CODES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Fix:
     """One way to fix a problem.
 

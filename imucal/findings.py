@@ -9,7 +9,7 @@ from imucal.errors import Fix
 Level: TypeAlias = Literal["info", "warning", "error"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Finding:
     """One observation, in a plain sentence.
 

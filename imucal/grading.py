@@ -4,11 +4,11 @@ The most severe finding determines it, by its level or by an entry in `OTHERWISE
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from imucal.errors import DataError, Fix
 from imucal.findings import Finding, Level, options_to_keep, phrase_of
-from imucal.frozen import frozen
 
 #: check: read the findings first; not-noise: the numbers are wrong.
 Grade: TypeAlias = Literal["good", "check", "not-noise"]
@@ -50,7 +50,7 @@ FORCE = Fix("force it", "force")
 _NAMED = 3
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class NoiseVerdict:
     """The verdict on a recording; `axes` are the axes whose numbers are not wrong."""
 

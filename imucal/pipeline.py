@@ -1,7 +1,7 @@
 """characterize: Recording -> Report, axis by axis. No input, no output."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from itertools import chain
 from typing import TypeAlias
@@ -26,7 +26,6 @@ from imucal.fitting.cross_checks import (
 from imucal.fitting.robust import clean
 from imucal.fitting.spectral.blocks import no_noise
 from imucal.fitting.spectral.disturbances.not_noise import not_noise
-from imucal.frozen import frozen
 from imucal.grading import is_motion
 from imucal.planning import resolution_findings
 from imucal.processes import findings_or_why_not, side_by_side
@@ -60,7 +59,7 @@ _MIN_TEMPERATURES = 16
 Progress: TypeAlias = Callable[[int, int, str], None]
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Settings(FitSettings):
     """Settings of `characterize`; see `imucal.fit` and `imucal.allan_curve`.
 

@@ -15,7 +15,6 @@ from imucal.errors import ArgumentError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.fitting.spectral import named_terms, relative_deviations
-from imucal.frozen import frozen
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import ALWAYS, TERMS
@@ -47,7 +46,7 @@ _USUALLY_DETECTABLE = (0.305, 0.09)
 ENOUGH_DETECTED = 0.8
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Need:
     """The length that a parameter such as ``N``, ``GM.sigma`` or ``GM.T`` needs.
 
@@ -66,7 +65,7 @@ class Need:
     detected: float | None
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class AxisPlan:
     """The needs of one axis; `axis` is empty and `sensor` None for a model without a log."""
 
@@ -78,7 +77,7 @@ class AxisPlan:
     needs: tuple[Need, ...]
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Plan:
     """The lengths of record for a relative precision at a confidence level."""
 
@@ -92,7 +91,7 @@ class Plan:
         return max((n.needed_s for a in self.axes for n in a.needs if not n.bounded), default=math.nan)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class _Ask:
     rate_hz: float
     precision: float

@@ -27,6 +27,7 @@ import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, BinaryIO, Literal, TypeAlias, TypeVar, cast
@@ -35,7 +36,6 @@ import numpy as np
 
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.frozen import frozen
 
 if TYPE_CHECKING:
     from multiprocessing.context import ForkProcess
@@ -69,7 +69,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Answer:
     """The outcome of a question, and the `value` that the function returned if it is done.
 

@@ -13,7 +13,6 @@ from imucal.clock import Clock
 from imucal.display import Displayed
 from imucal.errors import ArgumentError, DataError, MissingError
 from imucal.findings import Finding
-from imucal.frozen import frozen, frozen_alone
 from imucal.user_input import seconds_of
 
 Axis: TypeAlias = Literal["x", "y", "z"]
@@ -46,7 +45,7 @@ class Sensor(StrEnum):
         return "rad/s" if self is Sensor.GYROSCOPE else "m/s^2"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class AxisSeries(Displayed):
     """The samples of one axis.
 
@@ -148,7 +147,7 @@ class AxisSeries(Displayed):
         return replace(self, samples=self.samples[first:stop], clock=self.clock.slice(first, stop))
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Temperature(ReadOnlyArrays):
     """The IMU's temperature in degrees Celsius, shape (n,), read-only float64.
 
@@ -159,7 +158,7 @@ class Temperature(ReadOnlyArrays):
     clock: Clock
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class LogFileInfo:
     """A file of a log, with its path as it was read, and its checksum.
 
@@ -177,7 +176,7 @@ class LogFileInfo:
         object.__setattr__(self, "path", _as_text(self.path))
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class ReadRange:
     """The part of a log that was read, over all its axes, gaps included.
 
@@ -208,7 +207,7 @@ def span_ns(series: Iterable[AxisSeries]) -> tuple[int, int] | None:
 RAW_COUNTS = "count"
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Source:
     """The origin of a recording: the path of the log, and its format such as ``rosbag2-mcap``.
 
@@ -238,7 +237,7 @@ class Source:
         object.__setattr__(self, "path", _as_text(self.path))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Recording(Displayed):
     """All axes read from a log.
 

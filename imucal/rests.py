@@ -8,7 +8,7 @@ because a drive is not mostly at rest.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from imucal.arrays import FloatArray
 from imucal.clock import Clock
 from imucal.errors import DataError
 from imucal.findings import Finding
-from imucal.frozen import frozen
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.screening.motion import disturbances_of, rests_between
 from imucal.screening.windows import Profile, Windows, profile, quietest
@@ -45,7 +44,7 @@ _SHAKEN = 1.5
 _TURNED = math.radians(1.0)
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class _Stretch:
     """A time without motion; `why` it is not used, or an empty text."""
 

@@ -5,12 +5,11 @@ The figures are typical values of many units, so only a large excess is a findin
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from imucal.errors import Fix
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate
-from imucal.frozen import frozen
 from imucal.recording import Recording, Sensor
 from imucal.report.result import AxisReport, Report
 from imucal.screening.windows import resolution
@@ -28,7 +27,7 @@ _DECIMALS = (1.0, 2.0, 5.0, 10.0)
 _CONFUSED = {Sensor.GYROSCOPE: ("rad/s", "deg/s", "mdeg/s"), Sensor.ACCELEROMETER: ("m/s^2", "g", "mg")}
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class SheetRatio:
     """One term of a sensor's axes, relative to the figure of the data sheet.
 

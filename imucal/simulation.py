@@ -6,7 +6,7 @@ array contains the bytes of many messages; `mcap` and `rosbags` write the contai
 
 import shutil
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,6 @@ from imucal.arrays import FloatArray, IntArray, blocks
 from imucal.atomic import replacing
 from imucal.clock import Clock
 from imucal.errors import ArgumentError, Fix, WriteError
-from imucal.frozen import frozen, frozen_alone
 from imucal.noise import NoiseModel
 from imucal.readers.compression import lz4_for_ros1
 from imucal.recording import AXES, AxisSeries, Recording, Sensor, Source
@@ -26,7 +25,7 @@ from imucal.recording import AXES, AxisSeries, Recording, Sensor, Source
 START_NS = 1_767_225_600_000_000_000
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class SensorTruth:
     """The noise model, the means of x, y and z, and the resolution `lsb` (0: none) of a sensor, all in SI."""
 
@@ -89,7 +88,7 @@ _EUROC_HEADER = (
 )
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Rows:
     """Consecutive samples: index of the first, stamps in ns, shape (n,), rates and forces in SI, (n, 3)."""
 

@@ -164,7 +164,7 @@ n/a -
 _OTHER_UNITS = frozenset(_OTHERS.split())
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class _Unit:
     """A unit as its factor to SI and its exponents of radian, metre and second."""
 
@@ -214,7 +214,7 @@ _ROOTS = (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class DatasheetUnit:
     """A unit of data sheets; ``value * factor`` converts SI to it."""
 

@@ -42,7 +42,7 @@ _BRANCHES = (
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Module:
     """One file of the package: its dotted name, its text and its syntax tree."""
 

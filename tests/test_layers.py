@@ -12,27 +12,26 @@ BELOW: dict[str, set[str]] = {
     "arrays": set(),
     "errors": set(),
     "findings": {"errors"},
-    "frozen": set(),
     "arguments": {"errors"},
-    "grading": {"errors", "findings", "frozen"},
+    "grading": {"errors", "findings"},
     "_version": set(),
     "atomic": {"errors"},
-    "clock": {"errors", "frozen"},
+    "clock": {"errors"},
     "display": set(),
     "evidence": {"arrays", "units"},
     "locks": set(),
     "multiple_tests": set(),
     "printable": set(),
     "resources": {"errors", "user_input"},
-    "recording": {"arrays", "clock", "display", "errors", "findings", "frozen", "user_input"},
-    "processes": {"errors", "findings", "frozen"},
+    "recording": {"arrays", "clock", "display", "errors", "findings", "user_input"},
+    "processes": {"errors", "findings"},
     "powerlaw": {"arrays"},
     "solvers": {"arrays"},
-    "units": {"frozen", "recording"},
+    "units": {"recording"},
     "user_input": {"errors"},
 }
 BASE = set(BELOW)
-BELOW["remote"] = {"_version", "errors", "frozen", "processes", "resources", "user_input"}
+BELOW["remote"] = {"_version", "errors", "processes", "resources", "user_input"}
 BELOW |= {
     "readers": BASE | {"remote"},
     "screening": BASE,

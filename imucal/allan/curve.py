@@ -10,7 +10,7 @@ from imucal.display import Displayed
 from imucal.errors import ArgumentError
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class AllanCurve(Displayed, ReadOnlyArrays):
     """Allan variances at increasing averaging times.
 

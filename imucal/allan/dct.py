@@ -24,6 +24,7 @@ then the odd ones backwards: Makhoul (1980), IEEE Trans. ASSP 28, 27.
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeAlias
 
@@ -34,7 +35,6 @@ from numpy.typing import NDArray
 from imucal.arguments import takes
 from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
 from imucal.errors import ArgumentError, DataError
-from imucal.frozen import frozen_alone
 from imucal.recording import AxisSeries
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
@@ -162,7 +162,7 @@ def _turns(rows: IntArray, n: int, columns: int) -> ComplexArray:
     return np.asarray(products.reshape(rows.size, -1)[:, :columns])
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class DctBins(ReadOnlyArrays):
     """Bins of the ordinates k = 1 … n-1 of n samples: single ordinates first, then bins of constant ratio.
 
@@ -215,7 +215,7 @@ def dct_bins(n: int, *, singles: int = 128, per_octave: int = 48) -> DctBins:
     return DctBins(n=n, first=first, count=count, omega=np.pi * (first + (count - 1) / 2) / n)
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Transform(ReadOnlyArrays):
     """The DCT of an axis's longest run without a gap, computed once for its curve, its spectrum and its fit.
 
@@ -320,7 +320,7 @@ def fast_length(n: int) -> int:
     return n
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Spectrum(ReadOnlyArrays):
     """A two-sided power spectral density, averaged over bins of increasing width.
 

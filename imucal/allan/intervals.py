@@ -18,6 +18,7 @@ differences", PTTI 35, eqs. 6-10; the power laws' V(n) replaces their continuous
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -33,7 +34,6 @@ from imucal.allan.dct import (
 )
 from imucal.allan.variance import GappyVariances, sum_of_squares
 from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
-from imucal.frozen import frozen
 from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries
 from imucal.solvers import non_negative
@@ -70,7 +70,7 @@ LIGHTEST = -1.2
 _BLOCK = 32768
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class GenericModel:
     """A sum of the four power laws, with the variance of each in U², and a drift per sample, in U."""
 

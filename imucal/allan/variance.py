@@ -24,6 +24,7 @@ scatter is up to four times as large.
 """
 
 from bisect import bisect_left, bisect_right
+from dataclasses import dataclass
 from itertools import chain, compress, pairwise
 from typing import NamedTuple
 
@@ -33,7 +34,6 @@ import scipy
 from imucal.arrays import FloatArray, IntArray, aligned
 from imucal.clock import Clock
 from imucal.errors import ArgumentError
-from imucal.frozen import frozen_alone
 from imucal.recording import AxisSeries
 
 #: Samples per block: a few work arrays of this length fit in a second-level cache of 1 MB.
@@ -184,7 +184,7 @@ def _column_sum(total: FloatArray, m: int) -> float:
     return squares.total()
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class GappyVariances:
     """Variances at the averaging factors `m` that the data allow, shape (k,) each, all positive, in U².
 

@@ -6,6 +6,7 @@ squares gives C, b and their covariance.
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Literal, TypeAlias
 
@@ -14,7 +15,6 @@ from scipy.linalg import solve_triangular
 
 from imucal.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from imucal.errors import DataError
-from imucal.frozen import frozen, frozen_alone
 
 __all__ = [
     "LOWER", "PARAMETERS", "AccelerometerFit", "Status", "Suggestion", "derivatives",
@@ -66,7 +66,7 @@ Model: TypeAlias = Literal["full", "diagonal"]
 Status: TypeAlias = Literal["estimated", "weak", "not-observable"]
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class AccelerometerFit(ReadOnlyArrays):
     """A calibrated accelerometer: f = C (raw - b).
 
@@ -374,7 +374,7 @@ def observability(J: FloatArray, S: FloatArray, free: BoolArray) -> tuple[Status
     return tuple(statuses)
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Suggestion:
     """An attitude that would help most.
 

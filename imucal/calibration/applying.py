@@ -1,7 +1,7 @@
 """Correct samples: f = C_a (raw - b_a), w = C_g (raw - b_g - G f)."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from imucal.calibration.poses import at_other_times, triad
 from imucal.calibration.result import Calibration
 from imucal.errors import DataError, Fix
 from imucal.findings import Finding
-from imucal.frozen import frozen_alone
 from imucal.recording import AXES, RAW_COUNTS, AxisSeries, Recording, Sensor
 from imucal.units import LOG_UNITS
 
@@ -20,7 +19,7 @@ from imucal.units import LOG_UNITS
 CORRECTED = "corrected"
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Correction(ReadOnlyArrays):
     """The matrices of a calibration. Samples of the log are multiplied by `units` before, SI or counts.
 

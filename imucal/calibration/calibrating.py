@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,7 +47,6 @@ from imucal.calibration.slow_noise import AccelerometerEstimate, estimate_accele
 from imucal.calibration.turn_data import Headings, Turn, TurnData, prepare_turns, start_of
 from imucal.calibration.turns import GyroNoise, TurnsFit, direction_covariance, fit_turns
 from imucal.errors import ArgumentError, DataError, Fix
-from imucal.frozen import frozen_alone
 from imucal.noise import TERMS, NoiseModel
 from imucal.recording import RAW_COUNTS, ReadRange, Recording, Sensor
 from imucal.report.result import Report
@@ -211,7 +210,7 @@ def _in_log(recording: Recording) -> Iterator[None]:
         raise error.within(recording.source.path) from error
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Sensor:
     """A sensor with its rests and its noise."""
 

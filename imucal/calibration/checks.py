@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from imucal.calibration.result import Calibration
 from imucal.calibration.slow_noise import AccelerometerEstimate
 from imucal.errors import DataError
 from imucal.findings import Finding, Level, as_sentence
-from imucal.frozen import frozen_alone
 
 __all__ = ["Facts", "findings_of", "worse_than_before"]
 
@@ -52,7 +51,7 @@ _RECORD_AGAIN = "Do not use this calibration. Record again: each face and six ed
 _LISTED = 4
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Facts:
     """Facts from which the findings follow, with the calibration.
 

@@ -6,7 +6,7 @@ of parameters (Holm 1979). Biases differ between starts, which the intervals of 
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 from scipy.special import ndtr, ndtri
@@ -14,7 +14,6 @@ from scipy.special import ndtr, ndtri
 from imucal.calibration.document import CalibrationDocument
 from imucal.calibration.parameters import Parameter
 from imucal.errors import DataError, Fix
-from imucal.frozen import frozen
 from imucal.multiple_tests import holm
 from imucal.recording import Sensor
 
@@ -27,7 +26,7 @@ _Z = float(ndtri(0.975))
 Outcome: TypeAlias = Literal["differs", "same", "untested"]
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class CalibrationDifference:
     """One parameter of a sensor in both calibrations; `p` is adjusted for all parameters, or None."""
 

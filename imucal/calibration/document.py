@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, TypeAlias
@@ -15,7 +15,6 @@ from imucal.calibration.parameters import Parameter, inverse, is_si
 from imucal.calibration.result import AccelerometerResult, Calibration, CalibrationGrade, GyroscopeResult
 from imucal.errors import Fix, ReadError
 from imucal.findings import Finding
-from imucal.frozen import frozen, frozen_alone
 from imucal.recording import Source
 from imucal.report.document import Finite
 from imucal.report.typed_json import JsonObject, Key, Place, from_json, picked, to_json
@@ -97,14 +96,14 @@ def schema() -> JsonObject:
     return document
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class GravityEntry:
     """The length of gravity in m/s²."""
 
     value: Finite
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class SensorEntry:
     """What both sensors have: w = C (raw - b), and the parameters by name."""
 
@@ -113,7 +112,7 @@ class SensorEntry:
     parameters: Mapping[str, Parameter]
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class AccelerometerEntry(SensorEntry):
     """The accelerometer."""
 
@@ -121,7 +120,7 @@ class AccelerometerEntry(SensorEntry):
     diagonal_b: Vector
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class GyroscopeEntry(SensorEntry):
     """The gyroscope."""
 
@@ -129,7 +128,7 @@ class GyroscopeEntry(SensorEntry):
     scaled: bool
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class RestEntry:
     """A rest; `residual` is in m/s²."""
 
@@ -138,7 +137,7 @@ class RestEntry:
     used: bool
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class TurnEntry:
     """A turn; `residual_deg` has two or three components, or is None if the turn is not used."""
 
@@ -146,7 +145,7 @@ class TurnEntry:
     used: bool
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class CalibrationDocument:
     """The part of `calibration.json` that other commands read; attributes are keys."""
 
@@ -162,7 +161,7 @@ class CalibrationDocument:
     log_frame: str = ""
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Intrinsics(ReadOnlyArrays):
     """The part of a calibration that other programs need: f = C_a (raw - b_a), w = C_g (raw - b_g - G f).
 

@@ -9,6 +9,7 @@ imu_tk (calibration.h), MATLAB (accelparams, gyroparams).
 import json
 import tomllib
 from collections.abc import Iterator
+from dataclasses import dataclass
 from decimal import Decimal
 from importlib.resources import files
 from pathlib import Path
@@ -24,7 +25,6 @@ from imucal.calibration.frames import FRAMES
 from imucal.calibration.parameters import inverse
 from imucal.calibration.result import Calibration
 from imucal.errors import ArgumentError, DataError, Fix
-from imucal.frozen import frozen
 from imucal.printable import one_line
 from imucal.report.exports import find_target
 from imucal.report.exports.config_numbers import DEFAULT_OPTIONS, ExportOptions
@@ -42,7 +42,7 @@ _CORRECTED = {"sensor_combined", "vehicle_imu", "IMU", "RAW_IMU", "SCALED_IMU", 
 _AXES = "XYZ"
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class CalibrationTarget:
     """One program: name, title, file, formulas, and the template of the text under the comment.
 

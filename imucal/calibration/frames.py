@@ -1,12 +1,12 @@
 """The frame of a calibrated IMU: gravity at rest does not show its rotation, so a convention fixes it."""
 
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
 from imucal.arrays import FloatArray, ReadOnlyArrays
 from imucal.calibration.accelerometer import LOWER
-from imucal.frozen import frozen_alone
 
 __all__ = ["FRAMES", "LOWER_SLOPES", "Frame", "rotation_to"]
 
@@ -41,7 +41,7 @@ def rotation_to(frame: str, C: FloatArray) -> FloatArray:
     return np.asarray((Q * np.sign(np.diag(R))).T[order])
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Frame(ReadOnlyArrays):
     """A frame of one accelerometer; `name` is a key of `FRAMES`.
 

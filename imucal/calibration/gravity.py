@@ -1,9 +1,9 @@
 """Gravity and the earth's rotation at a place, with their uncertainty."""
 
 import math
+from dataclasses import dataclass
 
 from imucal.errors import ArgumentError
-from imucal.frozen import frozen
 
 __all__ = ["EARTH_RATE", "EarthRate", "Gravity", "earth_rate", "gravity_at"]
 
@@ -17,7 +17,7 @@ _EQUATOR, _K, _E2, _FREE_AIR = 9.7803253359, 0.00193185265241, 0.00669437999013,
 EARTH_RATE = 7.292115e-5
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Gravity:
     """Length of gravity and its standard deviation, in m/s²; `origin` is `given`, `latitude` or `unknown`."""
 
@@ -26,7 +26,7 @@ class Gravity:
     origin: str
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class EarthRate:
     """The earth's rotation about the vertical, in rad/s, its deviation, and that of each horizontal axis."""
 

@@ -1,12 +1,11 @@
 """What is known of a gyroscope's scale and misalignment before any turn, and which entries the turns show."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from imucal.calibration.accelerometer import MISALIGNMENT
-from imucal.frozen import frozen_alone
 
 __all__ = ["GyroPrior"]
 
@@ -20,7 +19,7 @@ _DIAGONAL = np.eye(3, dtype=np.bool_).ravel()
 _DEVIATIONS = np.where(_DIAGONAL, _SCALE, MISALIGNMENT)
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class GyroPrior(ReadOnlyArrays):
     """The prior of C by rows: the identity if `si`, otherwise a multiple of it of unknown size.
 

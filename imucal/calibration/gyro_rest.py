@@ -5,6 +5,7 @@ a multiple of G; its horizontal part has an unknown heading and counts as noise.
 """
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,6 @@ from imucal.arrays import BoolArray, FloatArray, ReadOnlyArrays
 from imucal.calibration.gravity import EarthRate
 from imucal.calibration.slow_noise import TRUSTED, Excess, Mixture, Spread, mix
 from imucal.calibration.turn_data import Headings
-from imucal.frozen import frozen_alone
 
 __all__ = ["GyroRest", "estimate_gyro_rest"]
 
@@ -30,7 +30,7 @@ _NO_PRIOR = 1e9
 _DOMINATES = 0.4
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class GyroRest(ReadOnlyArrays):
     """Bias and g-sensitivity of a gyroscope, with 95 % intervals.
 

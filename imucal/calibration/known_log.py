@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,7 +19,6 @@ from imucal.calibration.turn_data import Headings, prepare_turns, rotations
 from imucal.calibration.turns import GyroNoise, direction_covariance, fit_turns
 from imucal.clock import Clock
 from imucal.errors import ArgumentError
-from imucal.frozen import frozen_alone
 from imucal.noise import NoiseModel
 from imucal.recording import AXES, AxisSeries, Recording, Sensor, Source
 
@@ -33,7 +33,7 @@ _TILT, _TURN_S, _YAW = 0.08, 2.0, 0.6
 _FACES = np.array([[0, 0, 1], [1, 0, 0], [0, 0, -1], [0, 1, 0], [-1, 0, 0], [0, -1, 0.0]])
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ImuErrors(ReadOnlyArrays):
     """Known errors: raw_a = M_a f + b_a, raw_g = M_g w + b_g + G f, in SI.
 
@@ -47,7 +47,7 @@ class ImuErrors(ReadOnlyArrays):
     G: FloatArray
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Motion(ReadOnlyArrays):
     """True specific force and rate, each (n, 3); spans of the rests in samples, (m, 2), and up, (m, 3)."""
 
@@ -57,7 +57,7 @@ class _Motion(ReadOnlyArrays):
     up: FloatArray
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class RestsPlan:
     """A planned log: attitudes in words, and each parameter with its expected interval."""
 

@@ -2,13 +2,13 @@
 
 import math
 import re
+from dataclasses import dataclass
 
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray
 from imucal.calibration.turn_data import TurnData, carried_directions, is_in_place
 from imucal.errors import ArgumentError, DataError
-from imucal.frozen import frozen
 from imucal.user_input import quantity
 
 __all__ = ["KnownAngle", "known_angle", "known_of"]
@@ -28,7 +28,7 @@ _PLUS_MINUS = re.compile(r"\+-|\+/-|±")
 _UNITS = {"": 1.0, "deg": 1.0, "°": 1.0}
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class KnownAngle:
     """Angle of turns about the vertical, and its standard deviation, in rad."""
 

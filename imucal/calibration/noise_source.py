@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,7 +11,6 @@ from imucal.calibration.mean_covariance import mean_covariance, white_model
 from imucal.calibration.poses import RestMeans, Triad
 from imucal.errors import DataError
 from imucal.fitting.noise_fit import NoiseFit
-from imucal.frozen import frozen
 from imucal.noise import TERMS, NoiseModel, NoiseTerm
 from imucal.prediction.propagation import MEAN
 from imucal.recording import AXES
@@ -24,7 +24,7 @@ _SLOW = ("N", "B", "K")
 _OTHER_UNIT = 30.0
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class NoiseBase:
     """Noise of three axes.
 

@@ -1,6 +1,7 @@
 """Parameters as users see them: scale error, misalignment, bias and g-sensitivity, with intervals."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,7 +11,6 @@ from imucal.calibration.frames import Frame
 from imucal.calibration.gyro_rest import GyroRest
 from imucal.calibration.slow_noise import AccelerometerEstimate
 from imucal.calibration.turns import TurnsFit
-from imucal.frozen import frozen
 
 __all__ = ["Parameter", "accelerometer_parameters", "gyroscope_parameters", "inverse", "is_si"]
 
@@ -19,7 +19,7 @@ _SI = 1.5
 _NINE = [(i, j) for i in range(3) for j in range(3)]
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Parameter:
     """A value with its 95 % interval.
 

@@ -4,6 +4,7 @@ A rest lasts a second or more, so the limits differ from those of `imucal.rests`
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import chdtri
@@ -12,7 +13,6 @@ from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from imucal.calibration.mean_covariance import mean_covariance
 from imucal.clock import Clock
 from imucal.errors import DataError, Fix
-from imucal.frozen import frozen_alone
 from imucal.noise import NoiseModel
 from imucal.recording import AXES, AxisSeries, Recording, Sensor
 from imucal.screening.motion import rests_between
@@ -63,7 +63,7 @@ _FALSE_ALARMS = 1e-3
 _SAME_ATTITUDE = math.radians(10.0)
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Triad(ReadOnlyArrays):
     """Three axes of one sensor on one even grid.
 
@@ -87,7 +87,7 @@ class Triad(ReadOnlyArrays):
         return self.offset_s + len(self.samples) / self.rate_hz
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class RestMeans(ReadOnlyArrays):
     """Measurements of one sensor in m rests; `spans` are first sample and end, shape (m, 2).
 

@@ -14,7 +14,6 @@ from imucal.calibration.slow_noise import Excess
 from imucal.calibration.turn_data import Turn
 from imucal.display import Displayed
 from imucal.findings import Finding
-from imucal.frozen import frozen, frozen_alone
 from imucal.grading import GRADE_TEXTS
 from imucal.recording import Source
 
@@ -24,7 +23,7 @@ __all__ = ["AccelerometerResult", "Calibration", "GyroscopeResult", "Rest"]
 CalibrationGrade: TypeAlias = Literal["good", "check", "not-usable"]
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Rest:
     """One rest.
 
@@ -46,7 +45,7 @@ class Rest:
     why: str = ""
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class AccelerometerResult(ReadOnlyArrays):
     """f = C (raw - b), raw = M f + b.
 
@@ -75,7 +74,7 @@ class AccelerometerResult(ReadOnlyArrays):
         return inverse(self.C)
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class GyroscopeResult(ReadOnlyArrays):
     """w = C (raw - b - G f), raw = M w + b + G f.
 
@@ -103,7 +102,7 @@ class GyroscopeResult(ReadOnlyArrays):
         return inverse(self.C)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Calibration(Displayed):
     """A calibrated IMU; attributes are those of the JSON document.
 

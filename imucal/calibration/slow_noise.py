@@ -9,6 +9,7 @@ Source: Patterson & Thompson (1971), Biometrika 58, 545 (REML); Gelman (2006), B
 """
 
 import math
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -22,7 +23,6 @@ from imucal.calibration.accelerometer import (
     residual_covariance,
 )
 from imucal.calibration.mean_covariance import mean_covariance
-from imucal.frozen import frozen, frozen_alone
 from imucal.noise import TERMS, NoiseModel
 
 __all__ = [
@@ -47,7 +47,7 @@ _ROUNDS = 2
 _WALK = NoiseModel(terms=(TERMS["K"].of(1.0),))
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Mixture(ReadOnlyArrays):
     """Parameters as a mixture of k normals: means (k, p), covariances (k, p, p), weights (k,)."""
 
@@ -86,7 +86,7 @@ class Mixture(ReadOnlyArrays):
         return np.asarray((low + high).T / 2)
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Excess:
     """Slow noise beyond the base: deviation `tau` of each rest and axis, and a random walk of `kappa` per √s.
 
@@ -98,7 +98,7 @@ class Excess:
     walk_share: float = 0.0
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Spread:
     """Scales of grid and priors: deviation of the base, and of a walk with kappa = 1, between rests."""
 
@@ -157,7 +157,7 @@ def mix(
     return mixture, _excess(*mean, spread), _excess(float(tau[best]), float(kappa[best]), spread)
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class AccelerometerEstimate(ReadOnlyArrays):
     """An accelerometer's parameters with their distribution.
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from itertools import zip_longest
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,6 @@ import numpy as np
 from imucal.calibration.parameters import Parameter
 from imucal.calibration.poses import attitudes
 from imucal.calibration.result import Calibration
-from imucal.frozen import frozen
 from imucal.report.markup import Markup, render
 from imucal.report.numbers import value_and_half
 from imucal.units import G0, duration
@@ -38,7 +38,7 @@ _WIDE = 80
 _LISTED = ("weak",)
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Row:
     """One line of the table; `half` is half of the 95 % interval."""
 

@@ -1,7 +1,7 @@
 """Turns between rests as arrays, and a start for a fit of the gyroscope."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import permutations, product
 
 import numpy as np
@@ -9,7 +9,6 @@ import numpy as np
 from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from imucal.calibration.poses import RestMeans, Triad
 from imucal.errors import DataError, Fix
-from imucal.frozen import frozen, frozen_alone
 
 __all__ = [
     "Headings",
@@ -32,7 +31,7 @@ _SCALES = 60
 _COARSE = 40
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Turn:
     """One turn between two used rests.
 
@@ -53,7 +52,7 @@ class Turn:
     why: str = ""
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class TurnData(ReadOnlyArrays):
     """Turns as arrays, padded to the longest.
 
@@ -154,7 +153,7 @@ def start_of(data: TurnData) -> FloatArray:
     )
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Headings(ReadOnlyArrays):
     """A horizontal vector that is fixed to the earth, at m rests; its heading at the first one is unknown.
 

@@ -6,7 +6,7 @@ noise, the two bias estimates, and the error of both directions.
 """
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -20,7 +20,6 @@ from imucal.calibration.frames import LOWER_SLOPES, Frame
 from imucal.calibration.gyro_prior import GyroPrior
 from imucal.calibration.mean_covariance import mean_covariance
 from imucal.calibration.turn_data import Headings, TurnData, rotations, start_of
-from imucal.frozen import frozen_alone
 from imucal.noise import NoiseModel
 
 __all__ = ["GyroNoise", "TurnsFit", "direction_covariance", "fit_turns"]
@@ -43,7 +42,7 @@ _TOLD = 1e-3
 _MISFIT = 0.05
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class GyroNoise(ReadOnlyArrays):
     """Noise of the three axes: models, and further deviation `tau` of each rest's mean, shape (3,).
 
@@ -59,7 +58,7 @@ class GyroNoise(ReadOnlyArrays):
     horizontal: float = 0.0
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class TurnsFit(ReadOnlyArrays):
     """Scale and misalignment of a gyroscope: w = C (raw - b - G f).
 
@@ -91,7 +90,7 @@ class TurnsFit(ReadOnlyArrays):
         return replace(self, C=frame.R @ self.C, covariance=by_rows @ own @ by_rows.T)
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Carried(ReadOnlyArrays):
     """Directions carried along the turns: gravity, and a horizontal one along turns by a known angle.
 

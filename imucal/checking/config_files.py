@@ -272,7 +272,7 @@ class _Mistake(NamedTuple):
     message: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class _Wanted:
     """The required value of a key: white noise or random walk of some axes.
 

@@ -54,7 +54,7 @@ _DETAIL = re.compile(r"(Accelerometer|Gyroscope|Update rate|Noise density|Random
 _KEYS = {"Noise density": "noise_density", "Random walk": "random_walk"}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class _Residual:
     """One line of the results: of a camera or an IMU, from line 1; NaN without residuals."""
 

@@ -17,7 +17,6 @@ from typing import Literal, NoReturn, TypeAlias, TypeVar
 
 from imucal.errors import ChoiceError, LimitsError
 from imucal.findings import code_texts
-from imucal.frozen import frozen
 from imucal.noise.terms import TERMS, symbol_of
 from imucal.recording import AXES, Axis, Sensor
 from imucal.sensors import find_sensor
@@ -33,7 +32,7 @@ GRAVE = ("info", "warning", "error")
 FINDING_CODES = frozenset(code_texts())
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Limit:
     """A lower or upper limit (`side`) with the value and unit of the file; ``value * factor`` is in SI.
 
@@ -48,7 +47,7 @@ class Limit:
     factor: float
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class FindingRules:
     """The findings that fail the check: of `level` or more severe, and `forbid`, except `allow`."""
 
@@ -62,7 +61,7 @@ class FindingRules:
         return code in self.forbid or (self.level != "none" and GRAVE.index(level) >= GRAVE.index(self.level))
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Baseline:
     """Allowed relative changes of the coefficients of `terms`; None allows any change.
 
@@ -75,7 +74,7 @@ class Baseline:
     max_decrease: float | None = None
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Limits:
     """The content of a limits file; `calibration` contains the limits of a calibration."""
 
@@ -282,7 +281,7 @@ def _baseline(entry: "_Value", folder: Path) -> Baseline:
     return rules if up is None and down is None else replace(rules, max_increase=up, max_decrease=down)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class _Value:
     """A value of the file and its place, such as ``gyroscope.N.max``."""
 

@@ -5,11 +5,11 @@ chi-square distributed with as many degrees of freedom as e has components.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from imucal._version import __version__
 from imucal.checking.verdict import CheckResult, Row, Verdict
-from imucal.frozen import frozen
 from imucal.grading import Grade, NoiseVerdict
 
 #: A noise within this factor of what the residuals show passes.
@@ -20,7 +20,7 @@ ON_PURPOSE = 30.0
 NO_DATA = 1e-4
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Expected:
     """Mean, median and standard deviation of the residuals of right noise."""
 

@@ -20,7 +20,6 @@ from imucal.checking.limits import (
 from imucal.comparison import paired, ratio
 from imucal.errors import Fix, LimitsError
 from imucal.findings import Finding
-from imucal.frozen import frozen
 from imucal.grading import NoiseVerdict
 from imucal.printable import one_line
 from imucal.recording import Sensor
@@ -34,7 +33,7 @@ Verdict: TypeAlias = Literal["pass", "fail", "undecided"]
 WORST_FIRST: tuple[Verdict, ...] = ("fail", "undecided", "pass")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Row:
     """One verdict on an axis, a sensor or the ``log``, and what was `found` there.
 
@@ -69,7 +68,7 @@ class Row:
         return f"{self.subject} {'<=' if self.side == 'max' else '>='} {self.limit:.6g} {self.unit}".rstrip()
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class CheckResult:
     """The result of a check of a report: a row for each limit and axis.
 

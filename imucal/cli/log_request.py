@@ -2,13 +2,12 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from imucal.cli._printing import BYTES, FITTING, print_note, progress
 from imucal.cli.context import is_set
-from imucal.frozen import frozen
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.units import duration
 
@@ -31,7 +30,7 @@ def lent(logs: Sequence[str]) -> Iterator["LocalLogs"]:
         yield local
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class LogRequest:
     """The logs to read; `reading` contains arguments of `imucal.read`.
 

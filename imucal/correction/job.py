@@ -20,7 +20,7 @@ class AlreadyCorrectedError(Exception):
     """A log has the mark: correcting it again would remove bias and scale twice."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Job:
     """The rewriting of a file.
 

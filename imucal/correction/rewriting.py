@@ -5,7 +5,7 @@ import sqlite3
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -21,7 +21,6 @@ from imucal.correction.targets import targets_of
 from imucal.correction.text_file import TableCorrection, rewrite_text
 from imucal.errors import ArgumentError, DataError, Fix, ReadError, WriteError
 from imucal.findings import Finding
-from imucal.frozen import frozen
 from imucal.readers.assemble import DAMAGE, assemble
 from imucal.readers.choose import choose
 from imucal.readers.compression import unpack_file
@@ -49,7 +48,7 @@ _FORMATS = {
 }
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class AppliedLog:
     """A corrected log: its file or folder, the original, the corrected topics or columns, and findings."""
 

@@ -12,7 +12,7 @@ from imucal.readers.tables.stamps import TimeChoice
 from imucal.recording import AXES, RAW_COUNTS, Recording, Sensor
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Target:
     """The columns of the x, y and z axis of a sensor in a table.
 

@@ -20,7 +20,7 @@ _LINES = 20_000
 _CELL = re.compile(rb"[ \t]*[^ \t\r\n]+")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class TableCorrection:
     """The layout of a table, its samples, and their correction."""
 
@@ -42,7 +42,7 @@ class TableCorrection:
             raise without_force("")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Row:
     """A line of a table: its cells, and its end."""
 

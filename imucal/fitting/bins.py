@@ -1,10 +1,11 @@
 """Bins: the data from which the likelihood of one axis can be evaluated again without the samples."""
 
+from dataclasses import dataclass
+
 from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
-from imucal.frozen import frozen_alone
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Bins(ReadOnlyArrays):
     """The binned DCT ordinates of an axis: sums of squares, and of products with the regressors.
 

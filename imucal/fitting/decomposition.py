@@ -1,5 +1,7 @@
 """decompose: the contribution of each term of a fitted model to a record, with standard errors."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from imucal.arguments import takes
@@ -8,7 +10,6 @@ from imucal.errors import ArgumentError, DataError
 from imucal.fitting.noise_fit import NoiseFit, keyed
 from imucal.fitting.robust import find_spikes
 from imucal.fitting.wiener import Component, Progress, smooth
-from imucal.frozen import frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.recording import AxisSeries
 
@@ -18,7 +19,7 @@ _SAME_RATE = 0.01
 _SPARSE = 20
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Decomposition(ReadOnlyArrays):
     """A record as the sum of the terms of its model, on the clock's even grid of n places.
 

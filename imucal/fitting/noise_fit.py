@@ -13,7 +13,6 @@ from imucal.errors import ArgumentError, MissingError
 from imucal.findings import Finding
 from imucal.fitting.bins import Bins
 from imucal.fitting.regressors import Regressor
-from imucal.frozen import frozen, frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS
@@ -48,7 +47,7 @@ def keyed(parts: Iterable[_K], key: str, whole: str) -> _K:
     return found[key]
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class TermHomogeneity:
     """How much a term changes between segments.
 
@@ -70,7 +69,7 @@ class TermHomogeneity:
     shift: tuple[float, float] | None = field(default=None, compare=False)
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Trace(ReadOnlyArrays):
     """A quantity in each segment: value and limits, shape (s,) each, in SI."""
 
@@ -79,7 +78,7 @@ class Trace(ReadOnlyArrays):
     high: FloatArray
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Segments(ReadOnlyArrays):
     """The noise of a record in segments.
 
@@ -112,7 +111,7 @@ class Segments(ReadOnlyArrays):
 Status: TypeAlias = Literal["estimated", "bounded"]
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Interval:
     """A value and its confidence limits."""
 
@@ -121,7 +120,7 @@ class Interval:
     high: float
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class InUnits:
     """A coefficient in a unit; `value` is None if only the upper bound `high` is known."""
 
@@ -131,7 +130,7 @@ class InUnits:
     unit: str
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Estimate:
     """One term's coefficient.
 
@@ -207,7 +206,7 @@ class Estimate:
             raise ValueError(f"{self.key}: value must be None if bounded, and only then: {self}")
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Line:
     """A spectral line that the fit left out: frequency in Hz, amplitude of the sine in U."""
 
@@ -215,14 +214,14 @@ class Line:
     amplitude: float
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Response:
     """The output filter: its -3 dB corner in Hz."""
 
     cutoff_hz: float
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Goodness:
     """How well the model describes the fitted data.
 
@@ -240,7 +239,7 @@ class Goodness:
     spikes: float = 0.0
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Candidate:
     """A candidate model, and how much worse its criterion is."""
 
@@ -248,7 +247,7 @@ class Candidate:
     delta: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class NoiseFit(Displayed):
     """A noise model of one axis.
 

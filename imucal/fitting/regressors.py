@@ -14,6 +14,7 @@ likelihood, the DCT-II, in closed form where there is one. A stored result conta
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -22,14 +23,13 @@ import scipy
 from imucal.allan.dct import dct_ordinates, ramp_ordinates
 from imucal.arrays import FloatArray
 from imucal.errors import ArgumentError, DataError
-from imucal.frozen import frozen, frozen_alone
 
 #: Number of temperature means per requested ordinate: the lowest ordinates of a slow temperature then agree
 #: with those of all samples to 1 % of the largest.
 _MEANS = 4
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Stretch:
     """`n` even samples from place `offset` on; `temperature`, shape (n,), is in degrees Celsius."""
 
@@ -40,8 +40,6 @@ class Stretch:
 
 class Regressor(ABC):
     """A shape in the samples, for a coefficient of 1."""
-
-    __slots__ = ()
 
     #: The shape in a message, with its article.
     description: ClassVar[str]
@@ -73,7 +71,7 @@ class Regressor(ABC):
         return self.ordinates(stretch, count).__getitem__
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Ramp(Regressor):
     """A rise of 1 per sample, the regressor of the term R."""
 
@@ -94,7 +92,7 @@ class Ramp(Regressor):
         return lambda part: ramp_ordinates(stretch.n, part.stop - part.start, first=part.start + 1)
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class WarmUp(Regressor):
     """exp(-t / time_constant)."""
 
@@ -123,7 +121,7 @@ class WarmUp(Regressor):
         return float(np.exp(-stretch.offset / time)) * shape
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Step(Regressor):
     """0 before a place, 1 from it on."""
 
@@ -146,7 +144,7 @@ class Step(Regressor):
         return np.asarray(-np.sqrt(2 / n) * np.sin(2 * half * place) / (2 * np.sin(half)))
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Wave(Regressor):
     """cos(frequency (t + 1/2)), or the sine if `quadrature`; the frequency is in rad/sample."""
 
@@ -175,7 +173,7 @@ class Wave(Regressor):
         return cycle_ordinates(stretch.n, theta, self.frequency, self.frequency * stretch.offset - delay)
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class TemperatureEffect(Regressor):
     """The temperature behind a first-order lag, in samples.
 
@@ -210,7 +208,7 @@ class TemperatureEffect(Regressor):
         return temperature
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class LevelChange(Regressor):
     """A step from 0 to 1 at a place, smoothed by a normal curve of the standard deviation `width`."""
 
@@ -244,7 +242,7 @@ class LevelChange(Regressor):
         return np.asarray(np.where(within, step * np.exp(-0.5 * (theta * width) ** 2), 0.0))
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Bump(Regressor):
     """A normal curve around a place, of the standard deviation `width` and the height 1."""
 

@@ -2,6 +2,7 @@
 
 import importlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TypeAlias, cast
 
 import numpy as np
@@ -11,7 +12,6 @@ from imucal.allan.dct import Transform
 from imucal.arrays import FloatArray
 from imucal.errors import ArgumentError
 from imucal.fitting.noise_fit import NoiseFit
-from imucal.frozen import frozen
 from imucal.noise.model import parse_structure
 from imucal.noise.terms import require_fittable
 from imucal.recording import AxisSeries
@@ -41,7 +41,7 @@ MAX_SEGMENTS = 64
 WEIGHTS = ("full", "eta3")
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class FitSettings:
     """The settings of a fit, explained at `imucal.fit`; wrong ones raise a ValueError."""
 

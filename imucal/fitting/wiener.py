@@ -9,7 +9,7 @@ Papandreou & Yuille (2010), NIPS 23.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import TypeAlias
 
@@ -19,7 +19,6 @@ import scipy
 from imucal.allan.dct import dct2, idct2, ramp_ordinates
 from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from imucal.errors import ArgumentError, DataError
-from imucal.frozen import frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm, PowerLawTerm
 from imucal.noise.terms import Quantization, RateRandomWalk, term_keys
@@ -46,7 +45,7 @@ _STEPS = 5000
 Progress: TypeAlias = Callable[[int, int], None]
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Component(ReadOnlyArrays):
     """One part of the samples, given all samples, on a grid of n places.
 
@@ -96,7 +95,7 @@ def smooth(
     )
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Law:
     """Distribution of the ordinates: variance 1 / `weight`, flat prior on level and slope.
 
@@ -132,7 +131,7 @@ class _Law:
         return idct2(ordinates - (self.ramp @ ordinates) * self.slope)
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Filter:
     """One component: its `gain` at each ordinate, and its `variance` at each sample."""
 
@@ -214,7 +213,7 @@ def _spectrum(term: NoiseTerm, n: int, tau0: float) -> FloatArray:
     return np.concatenate([np.maximum(own, 0.0), expected])
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Unknown:
     """The samples to estimate: missing ones, and the first and the last one if they have extra noise.
 

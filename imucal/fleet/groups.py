@@ -1,12 +1,12 @@
 """Whether values form two groups, as the units of two batches do."""
 
 import math
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray
-from imucal.frozen import frozen_alone
 
 #: Fewest values of a group: one value alone is an odd unit.
 _FEWEST = 2
@@ -20,7 +20,7 @@ _DRAWS = 9999
 _SEED = 20_261_130
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Groups:
     """Two groups of values: which are in the upper one, shape (n,), and the deviation within both.
 

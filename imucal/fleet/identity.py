@@ -8,10 +8,10 @@ import hashlib
 import stat
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 from imucal.errors import ReadError
-from imucal.frozen import frozen
 from imucal.remote import RemoteLog, is_url
 from imucal.remote.stores import Store, identify
 
@@ -21,7 +21,7 @@ _EDGE = 1 << 16
 _AT_ONCE = 32
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class LogIdentity:
     """The identity of a log's content: a digest of 32 hexadecimal digits, and the size in bytes."""
 

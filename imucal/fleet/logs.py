@@ -5,12 +5,11 @@ import glob
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 from imucal.errors import ArgumentError, ReadError
-from imucal.frozen import frozen
 from imucal.readers import FORMATS
 from imucal.readers.containers.rosbag2_folder import METADATA, natural
 from imucal.readers.foreign import FLEET_FILES
@@ -32,7 +31,7 @@ _LEAST_S = 1.0
 State: TypeAlias = Literal["run", "again", "done", "copy"]
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class LogTask:
     """A requested log and its state.
 

@@ -4,13 +4,12 @@ import base64
 import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
 from imucal.fitting.noise_fit import Interval
 from imucal.fleet.population import MIN_UNITS, UnitValue
 from imucal.fleet.summary import Fleet, FleetTerm, SensorModel
-from imucal.frozen import frozen
 from imucal.noise.terms import TERMS
 from imucal.report import numbers
 from imucal.report.markup import Markup, both_units, render
@@ -33,7 +32,7 @@ _LEAST_P = 1e-4
 Pictures: TypeAlias = Mapping[str, Sequence[tuple[str, bytes]]]
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class UnitVerdict:
     """Whether a unit is like the others: the grade ``good``, ``check`` or ``not-noise``, and the reasons."""
 

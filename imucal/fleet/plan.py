@@ -4,7 +4,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,6 @@ from imucal.fleet.identity import identities_of
 from imucal.fleet.logs import LogTask, State, find_logs, label_pattern
 from imucal.fleet.manifest import Column, labels_in, meant, read_manifest
 from imucal.fleet.store import SCHEMA, AskedLog, Stored, is_fleet, read_store
-from imucal.frozen import frozen
 from imucal.noise import parse_structure, structure_text
 from imucal.resources import memory_there_is, threads
 from imucal.user_input import bytes_of
@@ -39,7 +38,7 @@ _SETTLED = ("ok", "unreadable", "no-data")
 _SEVERAL = ("topic", "fields", "message_definition")
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class FleetSettings:
     """The settings of a run, from the arguments of `imucal.run_fleet`.
 
@@ -81,7 +80,7 @@ def has_failed(status: object, verdict: object) -> bool:
     return status != "ok" or verdict == "not-noise"
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class FleetPlan:
     """All requested logs with their states, and the store without them; `stored` is None for a new fleet."""
 

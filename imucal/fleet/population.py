@@ -18,7 +18,7 @@ Biometrics 10, 101 (equal logs); Holm (1979), Scandinavian Journal of Statistics
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtrc, chdtri, fdtrc, ndtr, ndtri, stdtr, stdtrit
@@ -31,7 +31,6 @@ from imucal.fitting.noise_fit import Interval
 from imucal.fleet.groups import Groups, find_groups
 from imucal.fleet.tolerance import tolerance_factor
 from imucal.fleet.values import LogValue
-from imucal.frozen import frozen
 from imucal.multiple_tests import SIGNIFICANCE, holm
 
 #: Minimum number of units for a spread.
@@ -62,7 +61,7 @@ _TWO_GROUPS = (
 )
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class UnitValue:
     """The coefficient of one unit of a fleet, from all of its logs; the value is None if it is only bounded.
 
@@ -81,7 +80,7 @@ class UnitValue:
     p_logs: float | None = None
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class NextUnit:
     """The law of the logarithm of the next unit: Student's t with mean and standard deviation of `units`.
 
@@ -95,7 +94,7 @@ class NextUnit:
     within: float
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Population:
     """The distribution of a coefficient over the units of one sensor model.
 
@@ -432,7 +431,7 @@ def _without_errors(variance: float, dof: int, error: float) -> Interval:
     return Interval(value=value, low=low, high=high)
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class _Scatter:
     """The sum of squared deviations of the logarithms of a unit's logs, and its mean by their errors alone.
 

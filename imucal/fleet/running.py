@@ -16,7 +16,7 @@ from imucal.fleet.store import RunFile
 from imucal.fleet.summary import Fleet, load_fleet
 
 
-@dataclass(slots=True)
+@dataclass
 class RunCount:
     """The progress of a run: numbers of logs, and sizes in bytes; `failed` logs have no usable numbers."""
 

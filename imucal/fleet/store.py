@@ -14,6 +14,7 @@ import time
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeAlias
@@ -21,7 +22,6 @@ from typing import Any, Self, TypeAlias
 from imucal.atomic import replacing, sync_folder
 from imucal.errors import Fix, ReadError, StoreError, WriteError
 from imucal.fleet.manifest import LABELS
-from imucal.frozen import frozen
 from imucal.readers.foreign import FLEET_FILES
 from imucal.report.typed_json import to_json
 
@@ -37,7 +37,7 @@ _WRITING_S = 0.2
 LogRow: TypeAlias = dict[str, Any]
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class AskedLog:
     """A requested log: path, labels, arguments of `imucal.read`, and the log of which it is a copy."""
 
@@ -55,7 +55,7 @@ class AskedLog:
         }
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Stored:
     """The content of a store.
 

@@ -15,7 +15,6 @@ from imucal.fitting.homogeneity import symbol_of
 from imucal.fleet.population import Population, UnitValue, population
 from imucal.fleet.store import LogRow, read_store
 from imucal.fleet.values import LogValue
-from imucal.frozen import frozen
 from imucal.multiple_tests import SIGNIFICANCE, holm
 from imucal.noise.terms import TERMS
 from imucal.recording import Axis, Sensor
@@ -26,7 +25,7 @@ TermKey: TypeAlias = tuple[str, str, str, str]
 _OF_VALUE = ("value", "low", "high", "variance", "variance_sd", "level", "correlation_time")
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class FleetLog:
     """One log of a fleet; without labels `model` is empty and `unit` None.
 
@@ -57,7 +56,7 @@ class FleetLog:
         return self.unit is not None and not self.left_out
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class FleetTerm:
     """One noise term of one axis of a sensor model, in the SI `unit`.
 
@@ -94,7 +93,7 @@ class FleetTerm:
         return tuple(unit for unit in self.population.units if unit.odd)
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class SensorModel:
     """The units of one sensor model; `rate_hz` is the median rate of its logs."""
 
@@ -116,7 +115,7 @@ class SensorModel:
         raise KeyError(f"{key}; {self.title} has {', '.join(f'{t.name} {t.term}' for t in self.terms)}")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Fleet(Displayed):
     """The results of a fleet.
 

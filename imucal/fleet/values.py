@@ -1,6 +1,7 @@
 """The result of a log for one coefficient: an estimate with limits, a bound, or the squared coefficient."""
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 from scipy.special import ndtri
@@ -10,14 +11,13 @@ from imucal.errors import ArgumentError, DataError, Fix
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.fitting.settings import FitSettings
 from imucal.fitting.spectral.given_model import fit_bins, squared_coefficients
-from imucal.frozen import frozen
 from imucal.noise.terms import ALWAYS
 
 #: Smallest relative width of a square's limits: they may be rounded to the estimate.
 _LEAST = 1e-9
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class LogValue:
     """The result of one log of a `unit` (such as its serial number) for a coefficient.
 

@@ -18,7 +18,7 @@ Source: Guerrier, Molinari, Stebler: Allan variance, lemmas 4.1 and 4.2; IEEE St
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cache
 from itertools import pairwise
 from typing import TypeAlias
@@ -30,7 +30,6 @@ from numpy.typing import ArrayLike
 from imucal.arguments import takes
 from imucal.arrays import FloatArray
 from imucal.errors import ArgumentError
-from imucal.frozen import frozen_alone
 
 #: A psd as a function of frequencies in Hz, shape (k,); or increasing frequencies and the psd there.
 Psd: TypeAlias = Callable[[FloatArray], ArrayLike] | tuple[ArrayLike, ArrayLike]
@@ -77,7 +76,7 @@ class _InfiniteError(ValueError):
     """The psd is infinite at some frequency."""
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _PsdIntegral:
     """2 * integral of density * kernel at one m, in cycles per sample.
 

@@ -2,12 +2,12 @@
 
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from imucal.arrays import FloatArray
 from imucal.errors import ArgumentError
-from imucal.frozen import frozen
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS, in_order, symbol_of
 from imucal.recording import Sensor
@@ -19,7 +19,7 @@ _TIMES = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _EXAMPLE = "such as 'N=1e-3 + B=2e-5 + K=3e-6 + GM(sigma=1e-4, T=50)'"
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class NoiseModel:
     """A sum of independent terms.
 

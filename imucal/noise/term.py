@@ -10,7 +10,6 @@ import numpy as np
 import scipy
 
 from imucal.arrays import FloatArray, IntArray
-from imucal.frozen import frozen
 from imucal.powerlaw import PowerLaw, odd_harmonic
 from imucal.recording import Sensor
 from imucal.units import SAMPLE_UNITS, DatasheetUnit, datasheet_unit
@@ -21,7 +20,7 @@ _STEP = 1e-4
 _SLOW = 0.05
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Stroke:
     """Line style: colour on white, colour on black, dashes in points."""
 
@@ -30,7 +29,7 @@ class Stroke:
     dashes: tuple[float, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Description:
     """Description of a term on the page."""
 
@@ -39,7 +38,7 @@ class Description:
     other_names: str
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class NoiseTerm(ABC):
     """One term of a noise model. A new term needs only a subclass and its line in `TERMS`.
 
@@ -234,7 +233,7 @@ class NoiseTerm(ABC):
         return expectation, slope
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class PowerLawTerm(NoiseTerm):
     """A term whose spectrum is a power law; `value` is its coefficient."""
 

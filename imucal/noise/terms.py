@@ -9,13 +9,13 @@ discrete forms follow from `powerlaw`.
 
 import math
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 import scipy
 
 from imucal.arrays import FloatArray, IntArray
-from imucal.frozen import frozen
 from imucal.noise.term import (
     Description,
     NoiseTerm,
@@ -32,7 +32,6 @@ from imucal.powerlaw import PowerLaw
 class Quantization(PowerLawTerm):
     """Quantization noise Q, in rad (m/s): white noise of the integral. Slope -1."""
 
-    __slots__ = ()
     symbol = "Q"
     abbreviations = ("QN",)
     law = PowerLaw.QUANTIZATION
@@ -55,7 +54,6 @@ class Quantization(PowerLawTerm):
 class AngleRandomWalk(PowerLawTerm):
     """Angle (velocity) random walk N, in rad/s/√Hz (m/s²/√Hz): white noise. Slope -1/2."""
 
-    __slots__ = ()
     symbol = "N"
     abbreviations = ("ARW", "VRW", "WN")
     law = PowerLaw.WHITE
@@ -84,7 +82,6 @@ class AngleRandomWalk(PowerLawTerm):
 class BiasInstability(PowerLawTerm):
     """Bias instability B, in rad/s (m/s²): flicker. Slope 0; the floor is at 0.664 B."""
 
-    __slots__ = ()
     symbol = "B"
     abbreviations = ("BI", "FN")
     law = PowerLaw.FLICKER
@@ -109,7 +106,6 @@ class BiasInstability(PowerLawTerm):
 class RateRandomWalk(PowerLawTerm):
     """Rate random walk K, in rad/s/√s (m/s²/√s): summed white noise. Slope +1/2."""
 
-    __slots__ = ()
     symbol = "K"
     abbreviations = ("RRW", "RW")
     law = PowerLaw.WALK
@@ -136,7 +132,7 @@ class RateRandomWalk(PowerLawTerm):
         return np.cumsum(steps, out=steps)
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class RateRamp(NoiseTerm):
     """Rate ramp R, in rad/s² (m/s³): a steady drift. Slope +1. It has no spectrum."""
 
@@ -179,7 +175,7 @@ class RateRamp(NoiseTerm):
         return self.value * tau0 * np.arange(n, dtype=np.float64)
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class GaussMarkov(NoiseTerm):
     """First-order Gauss-Markov (AR1): standard deviation sigma and correlation time T in s.
 

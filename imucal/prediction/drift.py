@@ -7,7 +7,7 @@ twice and three times. The earth is flat and does not rotate.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
 
@@ -17,7 +17,6 @@ from imucal.arguments import takes
 from imucal.arrays import FloatArray
 from imucal.errors import ArgumentError, DataError
 from imucal.fitting.noise_fit import NoiseFit
-from imucal.frozen import frozen
 from imucal.noise.term import NoiseTerm
 from imucal.prediction.propagation import (
     ANGLE,
@@ -53,7 +52,7 @@ _NEAR_G = 0.1
 _UPRIGHT = 0.94
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class DriftPoint:
     """Standard deviation of an error after `time_s` without aiding.
 
@@ -73,7 +72,7 @@ class DriftPoint:
     seen: bool | None
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class DriftOf:
     """The drift of one quantity, in SI.
 
@@ -92,7 +91,7 @@ class DriftOf:
         return self.kind + _THROUGH[self.through]
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Drift:
     """How far dead reckoning drifts after a rest of `rest_s`, with limits of the fits' level.
 
@@ -203,7 +202,7 @@ def _quantities(axes: Sequence[_Axis], vertical: str, coasts: "_Coasts") -> Iter
             together[kind] = part
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class _Coasts:
     """Rest and coasts, with cached variances of terms of coefficient 1, which all axes share."""
 

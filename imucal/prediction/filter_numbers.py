@@ -12,6 +12,7 @@ Kalman filtering", NAVIGATION 68, 259 (the idea; abstract); the rule is measured
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -20,7 +21,6 @@ from imucal.arguments import takes
 from imucal.arrays import FloatArray
 from imucal.errors import ArgumentError, DataError
 from imucal.fitting.noise_fit import NoiseFit
-from imucal.frozen import frozen
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS, GaussMarkov, RateRamp
 from imucal.prediction.propagation import MEAN, Caution, Quantity, modelled, upper_limit
@@ -63,7 +63,7 @@ _ROUNDING = 0.01
 _LONG = 10.0
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class FilterNumbers:
     """White noise and a slow bias that cover the spectrum of one axis or several.
 

@@ -7,6 +7,7 @@ prediction of some numbers.
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -14,7 +15,6 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import NoiseFit
-from imucal.frozen import frozen
 from imucal.noise.term import NoiseTerm
 
 #: Averaging times of the comparison, in s: those of a filter between two updates.
@@ -35,7 +35,7 @@ _CAUSES = {
 }
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class LeftOut:
     """How much larger the measured noise of an axis is than that of some numbers.
 

@@ -33,7 +33,7 @@ _PREFERRED = {
 }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Choice:
     """A table to read, its columns, and the reason."""
 

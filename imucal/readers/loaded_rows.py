@@ -29,7 +29,7 @@ from imucal.recording import Sensor
 HEADER = "header stamp"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Part:
     """The sensors of a table that share rows, and what to read for them."""
 

@@ -1,16 +1,15 @@
 """The columns of one sensor as read, before clocks and units."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from imucal.arrays import BoolArray, FloatArray
-from imucal.frozen import frozen_alone
 from imucal.readers.tables.plan import SensorPlan
 from imucal.readers.tables.stamps import Numbers
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class SensorRows:
     """The columns of one sensor, shape (n,) each, in units of the log.
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from imucal.errors import Fix
 from imucal.findings import Finding
-from imucal.frozen import frozen
 from imucal.readers.tables.dialects import Dialect
 from imucal.readers.tables.layout import Rows
 from imucal.readers.tables.stamps import TimeChoice
@@ -34,7 +33,7 @@ def cells_of(head: Head) -> list[str]:
     return ["" if value is None or value != value else str(value) for value in values] or ["0"]  # noqa: PLR0124 - NaN
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Column:
     """A column of a table."""
 
@@ -45,7 +44,7 @@ class Column:
     unit: str | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Table:
     """Columns with one row per sample: a topic, a message of a flight log, a file, arrays of one length."""
 
@@ -108,7 +107,7 @@ class Table:
         return (self.count - 1) / duration
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Request:
     """Columns to read of a table: samples, times and temperature, perhaps of some rows only."""
 
@@ -126,7 +125,7 @@ class Request:
         return tuple(dict.fromkeys([*indices, *self.samples, *heat]))
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(eq=False)
 class Loaded:
     """Columns by index, shape (n,) each, which the caller may change; times are numbers.
 

@@ -46,7 +46,7 @@ _MAX_DEPTH = 8
 _FITTING = 3
 
 
-@dataclass(slots=True)
+@dataclass
 class Walk:
     """The complete messages of a log, and whether it is cut off or damaged."""
 

@@ -7,7 +7,7 @@ from imucal.findings import Finding
 from imucal.readers.read_options import ReadOptions
 
 
-@dataclass(slots=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class Work:
     """The decisions and findings of a log that is being read."""
 

@@ -2,12 +2,11 @@
 
 import hashlib
 import re
-from dataclasses import field
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from urllib.parse import SplitResult, unquote, urlsplit, urlunsplit
 
 from imucal.errors import Fix, ReadError
-from imucal.frozen import frozen
 
 #: At least two letters: C: is a drive.
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://")
@@ -118,7 +117,7 @@ def without_secrets(text: str, url: str) -> str:
     return re.sub(r"(\w://[^\s?'\"]*)\?[^\s'\")]*", r"\1", text)
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class RemoteFile:
     """One object of a store."""
 
@@ -130,7 +129,7 @@ class RemoteFile:
     size: int | None
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class RemoteLog:
     """A log at a URL: one object, or the folder of a bag."""
 

@@ -10,13 +10,13 @@ import shutil
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TypeAlias
 from uuid import uuid4
 
 from imucal.errors import Fix, ReadError
-from imucal.frozen import frozen
 from imucal.remote.addresses import RemoteLog, name_of, refused
 from imucal.remote.stores import Store
 from imucal.resources import size_setting
@@ -41,7 +41,7 @@ _OTHER_DISK = f"free some space, or set {FOLDER} to a folder on another disk"
 Progress: TypeAlias = Callable[[int, int], None]
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class LocalCopy:
     """The copy of a remote log."""
 

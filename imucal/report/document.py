@@ -6,13 +6,13 @@ A change that an old reader would misunderstand needs another number in `SCHEMA`
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, TypeAlias
 
 from imucal.arrays import FloatArray, IntArray
 from imucal.clock import Gap
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Candidate, Goodness, Response, Segments, Status
-from imucal.frozen import frozen, frozen_alone
 from imucal.grading import Grade
 from imucal.noise.terms import TERMS
 from imucal.recording import Axis, Sensor, Source
@@ -32,7 +32,7 @@ OfTau: TypeAlias = Annotated[FloatArray, Key(like="tau_s")]
 OfFrequency: TypeAlias = Annotated[FloatArray, Key(like="frequency_hz")]
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class QuantityEntry:
     """A value with its limits and unit; `value` is None if only the bound `high` is known."""
 
@@ -42,14 +42,14 @@ class QuantityEntry:
     unit: str
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class SummaryEntry(QuantityEntry):
     """The numbers of a term in SI."""
 
     status: Status
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class FilterEntry:
     """The two numbers for a filter; `ratios` are pairs of time and ratio."""
 
@@ -65,7 +65,7 @@ class FilterEntry:
     ratios: tuple[tuple[float, float], ...]
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class TermEntry:
     """An estimate in SI and in the unit of data sheets."""
 
@@ -86,7 +86,7 @@ class TermEntry:
     q: float | None = None
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class CurveEntry:
     """The Allan deviation, its limits and the model's, shape (k,) each; `used` has shape (j,)."""
 
@@ -105,7 +105,7 @@ class CurveEntry:
     used: Annotated[IntArray, Key(least=0)]
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class MinimumEntry:
     """The lowest point of the curve."""
 
@@ -116,7 +116,7 @@ class MinimumEntry:
     datasheet: QuantityEntry
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class SpectrumEntry:
     """The two-sided spectrum and the model's, shape (k,) each."""
 
@@ -127,7 +127,7 @@ class SpectrumEntry:
     model_psd: OfFrequency
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class FitEntry:
     """A fit; `model` has the terms, `expression` also their values. `covariance` is a list of rows."""
 
@@ -147,7 +147,7 @@ class FitEntry:
     settings: Mapping[str, object]
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class AxisEntry:
     """The results of one axis."""
 
@@ -167,7 +167,7 @@ class AxisEntry:
     fit: FitEntry
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Header:
     """The keys that the files of a report have in common."""
 
@@ -180,7 +180,7 @@ class Header:
     findings: tuple[Finding, ...]
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Document(Header):
     """The whole report."""
 
@@ -189,7 +189,7 @@ class Document(Header):
     axes: tuple[AxisEntry, ...]
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class SignalDocument:
     """The raw signals of `signal.json`."""
 

@@ -241,7 +241,7 @@ def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str,
 _SHOWN_BY_PAGES = {"png": "image/png", "svg": "image/svg+xml"}
 
 
-@dataclass(slots=True)
+@dataclass
 class Drawings:
     """The pictures as name -> content, and a finding for each that failed."""
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -9,7 +10,6 @@ import numpy as np
 from imucal.allan.curve import AllanCurve
 from imucal.arrays import FloatArray, IntArray
 from imucal.fitting.noise_fit import Estimate, Line, NoiseFit
-from imucal.frozen import frozen, frozen_alone
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
@@ -44,7 +44,7 @@ _MIN_FIRST_ORDINATES = 6.0
 _MIN_ORDINATES = 12.0
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class SmoothSpectrum:
     """Root of a two-sided density with its limits, in U/√Hz, shape (k,); `frequency` in Hz."""
 
@@ -151,7 +151,7 @@ def estimate_text(estimate: Estimate, sensor: Sensor | None, units: SheetUnits) 
     return "\n".join(lines)
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class SheetLine:
     """A term of a data sheet to draw, with its label."""
 

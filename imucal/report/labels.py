@@ -97,7 +97,7 @@ def place_labels(
 _Place: TypeAlias = tuple[float, FloatArray, _Box]
 
 
-@dataclass(slots=True, kw_only=True)
+@dataclass(kw_only=True)
 class _Room:
     frame: _Box
     scale: float

@@ -6,13 +6,12 @@ PDG, Review of Particle Physics (2022), sec. 5.3.
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from imucal.fitting.noise_fit import Estimate, Interval, NoiseFit
-from imucal.frozen import frozen
 from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.prediction import DriftPoint
 from imucal.recording import Sensor
@@ -27,7 +26,7 @@ _LONGEST = 10
 _SMALL = 0.1
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Quantity:
     """A value with its limits and unit; `value` is None if only the bound `high` is known.
 
@@ -117,7 +116,7 @@ def minimum(fit: NoiseFit) -> Quantity:
     return Quantity(value=adev, low=limits[0], high=limits[1], unit=fit.sensor.unit if fit.sensor else "")
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class SheetUnits:
     """Units of a sensor: `density` for N and roots of psds; `level` for Allan deviations, B and sigma."""
 

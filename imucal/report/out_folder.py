@@ -22,7 +22,7 @@ _BEGUN = "begun.json"
 _NAMED = 3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class OutFolder:
     """A folder of results that is written as a whole; other files in it are kept.
 

@@ -13,7 +13,6 @@ from imucal.display import Displayed
 from imucal.errors import DataError, MissingError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, NoiseFit
-from imucal.frozen import frozen_alone
 from imucal.grading import NoiseVerdict, judge_findings
 from imucal.prediction.filter_numbers import (
     CAMERA_HORIZON_S,
@@ -30,7 +29,7 @@ _MIN_LENGTH_S = 300.0
 _WITHOUT_RESULT = ("no-data", "no-result", "stuck")
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Overview(ReadOnlyArrays):
     """The raw signal to draw: lowest and highest sample of each of k stretches, in U, shape (k,).
 
@@ -70,7 +69,7 @@ class Overview(ReadOnlyArrays):
         return cls(time_s=time, low=np.where(filled, low, np.nan), high=np.where(filled, high, np.nan))
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class AxisReport(Displayed):
     """The results of one axis; units as in `Sensor.unit`.
 

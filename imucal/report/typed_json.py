@@ -30,7 +30,6 @@ import numpy as np
 
 from imucal.arrays import FloatArray, IntArray
 from imucal.errors import Fix, ReadError
-from imucal.frozen import frozen
 from imucal.printable import printable_json
 
 JsonObject: TypeAlias = dict[str, object]
@@ -42,7 +41,7 @@ _MAX_TEXT = 40
 _MAX_INTEGER = 2**63 - 1
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Key:
     """What a value needs besides its type.
 
@@ -69,7 +68,7 @@ class Key:
     shape: tuple[int, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Place:
     """A place in a document, such as ``report.json: axes[2].fit.method``, and what to do if it is wrong."""
 

@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TypeAlias
 
 from imucal.fitting.noise_fit import Estimate, NoiseFit
-from imucal.frozen import frozen
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.report import numbers
@@ -17,7 +17,7 @@ __all__ = ["ROWS", "Cell", "Column", "Row", "Shown", "Subject", "View", "ordered
 Subject: TypeAlias = AxisReport | NoiseFit
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Cell:
     """A quantity of one axis; `note` names another term that fits as well, or the time of the minimum."""
 
@@ -26,7 +26,7 @@ class Cell:
     note: str = ""
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Shown:
     """A cell as text: ``0.2013``, ``[0.2010, 0.2016]``, ``or GM``; a bound has no interval."""
 
@@ -39,7 +39,7 @@ class Shown:
         return "  ".join(part for part in (self.value, self.interval, self.note) if part)
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Column:
     """A row in one convention; values are multiples of ``10**exponent`` units."""
 
@@ -48,7 +48,7 @@ class Column:
     texts: tuple[Shown | None, ...]
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Row:
     """A quantity on every axis of a view; None if an axis does not have it.
 
@@ -83,7 +83,7 @@ def _shown(quantity: Quantity, note: str, exponent: int) -> Shown:
     return Shown(value=value, interval=interval, note=note, bounded=quantity.value is None)
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class View:
     """The results of one sensor as rows; `names` are the columns, such as x."""
 

@@ -8,12 +8,12 @@ Source: Gardner (1991), IEEE Signal Process. Mag. 8(2), "Exploitation of spectra
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from imucal.arrays import FloatArray
 from imucal.findings import Finding
-from imucal.frozen import frozen
 from imucal.recording import AxisSeries, Sensor
 from imucal.screening.windows import Profile, amount, name_list
 
@@ -47,7 +47,7 @@ _AXES = 2
 _REPEATED = 0.05
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Pattern:
     """A pattern of `period` samples: noise and level of each place, shape (period,), in U."""
 

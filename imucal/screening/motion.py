@@ -49,7 +49,7 @@ _MAX_STRETCHES = 256
 _COLOURED = 8.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Disturbance:
     """A disturbance of some axes; `factor` is its peak level over their noise."""
 

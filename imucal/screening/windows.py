@@ -6,7 +6,7 @@ axis's own quiet windows, so that a touch does not hide itself by raising the li
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
 from imucal.clock import Segment
 from imucal.evidence import value_step
-from imucal.frozen import frozen_alone
 from imucal.recording import AxisSeries, Sensor
 from imucal.units import G0
 
@@ -29,7 +28,7 @@ _USUAL_WINDOWS = 64
 _BLOCK = 1 << 17
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Windows(ReadOnlyArrays):
     """Statistics of each window of an axis; all arrays have shape (k,), in order of time.
 
@@ -242,7 +241,7 @@ _STRETCHES = 16
 _STRETCH = 2048
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Profile:
     """One axis for the checks, without the `left_out` NaN, infinite and impossible samples.
 

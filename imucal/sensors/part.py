@@ -1,10 +1,9 @@
 """A part with the figures of its data sheet: noise, bias instability, ranges and steps."""
 
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
-from imucal.frozen import frozen
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
 from imucal.units import SAMPLE_UNITS, find_unit
@@ -30,7 +29,7 @@ _UNITS: dict[str, dict[Sensor, str]] = {
 }
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Figure:
     """A figure as a data sheet prints it.
 
@@ -57,7 +56,7 @@ class Figure:
     source: str
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class TermFigure:
     """N, B or K of one sensor of a part, in SI: the number to compute with.
 
@@ -112,7 +111,7 @@ class TermFigure:
         return value / found[1]
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class PartSensor:
     """The gyroscope or the accelerometer of a part.
 
@@ -146,7 +145,7 @@ class PartSensor:
         return self.figures.get("bias_instability") if "B" in self.terms else None
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Part:
     """A chip, module or device with the figures of its data sheet.
 

@@ -105,7 +105,7 @@ _TEXTS = frozenset({"msg", "message", "__all__"})
 _SKIPPED = (ast.Raise, ast.Assert, ast.Import, ast.ImportFrom, ast.JoinedStr, ast.pattern)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Mutation:
     """One change: bytes `start` to `stop` become `new`; the statement covers lines `first` to `line`."""
 

@@ -42,7 +42,7 @@ TRUTHS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Reading:
     """Results of a tool for one record: coefficients by symbol, and intervals if available."""
 

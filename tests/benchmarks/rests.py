@@ -28,7 +28,7 @@ TRUTH = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Drive:
     """A kind of drive: number of rests, ranges of rest and motion in s, and share of shaken rests."""
 

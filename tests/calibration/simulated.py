@@ -24,7 +24,7 @@ _EDGES = np.array(
 )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Truth:
     """Errors of an IMU: raw_a = M_a f + b_a, raw_g = M_g w + b_g + G f."""
 
@@ -42,7 +42,7 @@ class Truth:
         return cls(M_a, rng.normal(0, 0.15, 3), M_g, rng.normal(0, 0.01, 3), rng.normal(0, 1e-4, (3, 3)))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Rests:
     """Means of rests, their spans in samples, the log's length, and the true parameters."""
 
@@ -97,7 +97,7 @@ def accelerometer_rests(
     )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Log:
     """A log: raw samples (n, 3), rests in samples (m, 2), true specific force and biases."""
 

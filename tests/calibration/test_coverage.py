@@ -37,7 +37,7 @@ GAUSS_MARKOV = (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Case:
     """A kind of log, its noise (of the log and of the report), and arguments of `calibrate`."""
 

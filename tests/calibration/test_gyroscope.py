@@ -31,7 +31,7 @@ QUIET = NoiseModel.parse("N=1e-7"), NoiseModel.parse("N=1e-8")
 LATITUDE = 47.4
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Chain:
     """A log that went through all steps."""
 

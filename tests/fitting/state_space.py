@@ -16,14 +16,13 @@ diffuse Kalman filter's, de Jong (1991), Ann. Statist. 19, 1073.
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.errors import DataError
-from imucal.frozen import frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm, PowerLawTerm
 from imucal.noise.terms import BiasInstability, GaussMarkov, RateRamp, RateRandomWalk, term_keys
@@ -41,7 +40,7 @@ _FLAT = 1e5
 BIAS = "bias"
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class StateSpace:
     """The independent scalar states of a model; samples are their sum plus white noise.
 
@@ -138,7 +137,7 @@ def _term_states(term: NoiseTerm, tau0: float, n: int) -> list[tuple[float, floa
     return [(t.phi(tau0), t.q(tau0) ** 2, t.sigma**2) for t in markov]
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class BlockLaw:
     """The covariances of a block of B samples, given the states at its start, in closed form.
 
@@ -189,7 +188,7 @@ class BlockLaw:
         )
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class GapMatrices:
     """Matrices of blocks with the same missing samples: information on the start, prediction of the end.
 
@@ -225,7 +224,7 @@ class GapMatrices:
         )
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Blocks:
     """A record cut into blocks, shape (b, length), the last padded with missing samples."""
 
@@ -266,7 +265,7 @@ class Blocks:
             yield np.array(members), self.seen[members[0]]
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Step:
     """The estimate of states, level and slope from the samples up to a block's end.
 

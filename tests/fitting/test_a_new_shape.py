@@ -22,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("new_terms")
 RATE_HZ = 100.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class SquaredExponential(NoiseTerm):
     """A smooth bias: autocovariance sigma² exp(-(t/T)²)."""
 
@@ -53,7 +53,7 @@ class SquaredExponential(NoiseTerm):
         return np.asarray(self.sigma * drawn / np.linalg.norm(kernel))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Smoothed(NoiseTerm):
     """White noise filtered by y[t] = (x[t] + x[t-1]) / 2: a coefficient without a time."""
 
@@ -173,7 +173,7 @@ def test_the_fast_gauss_markov_shape_agrees_with_the_generic_one() -> None:
     np.testing.assert_allclose(plain, quick, rtol=1e-9)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Kink(Regressor):
     """Zero before a place, a rise of 1 per sample from it on; without a closed form of its ordinates."""
 

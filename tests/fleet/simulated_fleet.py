@@ -30,7 +30,7 @@ RATE = 100.0
 UNITS = 10
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class MadeLog:
     """A log and its fault; `broken` is empty for a log without a fault."""
 

@@ -30,7 +30,7 @@ from tests.report.synthetic import consumer_report
 pytestmark = pytest.mark.usefixtures("new_terms")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Sinusoid(NoiseTerm):
     """A sine of amplitude A and period P in s, of random phase: a thermostat, a motor."""
 
@@ -59,7 +59,7 @@ class Sinusoid(NoiseTerm):
         return self.amplitude * np.sin(turned)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class SecondOrder(NoiseTerm):
     """Second-order Gauss-Markov: autocovariance sigma² (1 + k/T) exp(-k/T)."""
 

@@ -28,7 +28,7 @@ START = 1_700_000_000_000_000_000
 IMU = "sensor_msgs/msg/Imu"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Samples:
     """Stamps and log times in ns, shape (n,), and gyroscope and accelerometer, shape (n, 3)."""
 
@@ -43,7 +43,7 @@ class Samples:
         return np.hstack([self.gyro, self.accel])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Message:
     """A message to write: topic, type, log time and bytes."""
 

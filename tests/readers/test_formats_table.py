@@ -19,7 +19,7 @@ BOTH = GYRO + ACCEL
 MPU = {"gyro_scale": math.radians(1 / 131), "accel_scale": G0 / 16384}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Known:
     """A log and its known properties.
 

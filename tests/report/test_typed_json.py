@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
@@ -11,14 +12,13 @@ import pytest
 
 from imucal.arrays import FloatArray, IntArray
 from imucal.errors import ReadError
-from imucal.frozen import frozen, frozen_alone
 from imucal.recording import Sensor
 from imucal.report.typed_json import Key, Place, from_json, to_json
 
 _PLACE = Place("a.json", "write it again")
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Inner:
     """Texts and pairs."""
 
@@ -26,7 +26,7 @@ class Inner:
     pair: tuple[float, float] | None = None
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Outer:
     """A field of each kind."""
 

@@ -13,7 +13,7 @@ averaging time; two averaging times are analogous.
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -22,7 +22,6 @@ from imucal.allan.curve import AllanCurve
 from imucal.allan.intervals import LIGHTEST, excess_kurtosis, graded_lags, trapezoid_weights
 from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays, read_only
 from imucal.errors import DataError
-from imucal.frozen import frozen_alone
 from imucal.noise.term import NoiseTerm, PowerLawTerm
 from imucal.noise.terms import TERMS, AngleRandomWalk, GaussMarkov, RateRamp
 from imucal.powerlaw import PowerLaw
@@ -41,7 +40,7 @@ _TIMES_REACH = 20.0
 _MIN_SPACING = 1.9
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class AvarCovariance(ReadOnlyArrays):
     """The covariance of Allan variances, as a function of the terms' variances per sample.
 
@@ -169,7 +168,7 @@ def _lag_covariance(lags: IntArray, mi: int, mj: int, term: NoiseTerm) -> FloatA
     return covariance
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class AvarPoints:
     """Allan variances to fit, at increasing averaging factors `m`; arrays have the shape (k,).
 

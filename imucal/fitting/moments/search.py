@@ -27,7 +27,6 @@ from imucal.errors import DataError
 from imucal.fitting.moments.points import AvarPoints, columns, is_timed, spread_of, unit_terms
 from imucal.fitting.noise_fit import MISFIT, Estimate, Goodness, Interval
 from imucal.fitting.settings import CRITERIA, FitSettings
-from imucal.frozen import frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
@@ -69,7 +68,7 @@ def whitening(covariance: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(factor, np.diag(1 / deviation)), dtype=np.float64)
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Solution:
     """A model at its minimum, where `objective` is the weighted sum of squares.
 
@@ -192,7 +191,7 @@ def all_terms(points: AvarPoints, max_gm: int) -> tuple[str, ...]:
     return tuple(symbols)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class CurveFit:
     """A fit, and the other models by how much worse they are."""
 

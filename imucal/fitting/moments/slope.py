@@ -20,7 +20,6 @@ from imucal.fitting.moments.points import AvarPoints, avar_points, columns, unit
 from imucal.fitting.moments.search import ROUGH, Solution, all_terms, goodness, minimum
 from imucal.fitting.noise_fit import Estimate, Goodness, NoiseFit
 from imucal.fitting.settings import FitSettings
-from imucal.frozen import frozen_alone
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import AxisSeries
 
@@ -38,7 +37,7 @@ _MIN_EDF = 3.0
 _FLOOR = 1.05
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class LogCurve:
     """Points, and the covariance of the logarithms of their deviations, shape (k, k)."""
 
@@ -62,7 +61,7 @@ class LogCurve:
         return np.asarray(columns(self.points.m, unit_terms([symbol]))[:, 0])
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Reading:
     """The reading of one term: `log_value` is the logarithm of the coefficient, `spread` its standard error.
 

@@ -5,7 +5,7 @@ runs has many blocks; those of equal length have equal spectra, and their ordina
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -23,7 +23,6 @@ from imucal.fitting.regressors import Ramp, Regressor, Stretch, parse
 from imucal.fitting.spectral.disturbances.gaps import complete
 from imucal.fitting.spectral.disturbances.lines import find_lines, with_sines, without_strong_lines
 from imucal.fitting.spectral.ordinates import Ordinates, bin_shapes
-from imucal.frozen import frozen_alone
 from imucal.recording import AxisSeries
 
 #: Regressors of a record without disturbances.
@@ -61,7 +60,7 @@ _PART = 1 << 16
 _FINE = 4
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Block:
     """The ordinates of one run of samples, in scaled units.
 
@@ -104,7 +103,7 @@ class Block:
         return replace(self, bins=bins, **{name: getattr(self, name)[:end] for name, end in given.items()})
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class SeriesBlocks:
     """All blocks of a record, in order of time; `scale` is U per scaled unit.
 

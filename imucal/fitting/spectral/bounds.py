@@ -9,7 +9,7 @@ explain the problem; `tests/benchmarks/coverage_auto.py` measures the coverage o
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -21,7 +21,6 @@ from imucal.fitting.spectral.likelihood import Fits
 from imucal.fitting.spectral.maximum import bounds, maximize
 from imucal.fitting.spectral.models import COLUMN, has_time
 from imucal.fitting.spectral.selection import RankedModels, alternatives_among
-from imucal.frozen import frozen_alone
 from imucal.noise.terms import ALWAYS, TERMS, GaussMarkov, in_order, term_keys
 
 
@@ -130,7 +129,7 @@ _LOWERED = frozenset({"K"})
 _MAX_COMPLETED = 16
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Alternative:
     """Estimates of a model near the best, by key; `weight` (1 near, 0 far) scales the intervals."""
 

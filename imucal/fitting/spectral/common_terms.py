@@ -8,7 +8,7 @@ Source: Wilks (1938), Annals of Mathematical Statistics 9, 60; of variances, Bar
 160, 268.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -16,7 +16,6 @@ import numpy as np
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.spectral.likelihood import regress
 from imucal.fitting.spectral.ordinates import Ordinates
-from imucal.frozen import frozen_alone
 
 #: Lower bound of the logs of the scales.
 _INVISIBLE = -30.0
@@ -39,7 +38,7 @@ _SCORINGS = 3
 _TINY = 1e-12
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Parts:
     """The spectra of t tests over g groups of bins, b bins in all.
 
@@ -141,7 +140,7 @@ class Parts:
         return self.at(logs)
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Scales:
     """The likelihood at some scales of each group in each test.
 

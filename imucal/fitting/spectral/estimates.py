@@ -7,7 +7,7 @@ Source: Pawitan (2001), In All Likelihood, ch. 3; at a boundary: Self & Liang (1
 freedom: Satterthwaite (1946), Biometrics Bulletin 2, 110.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -18,7 +18,6 @@ from imucal.fitting.noise_fit import MISFIT, Estimate, Goodness, Interval
 from imucal.fitting.spectral.likelihood import Fits, covariance
 from imucal.fitting.spectral.maximum import bounds, maximize, misfit_factors
 from imucal.fitting.spectral.ordinates import Ordinates
-from imucal.frozen import frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS, term_keys
 
@@ -161,7 +160,7 @@ class _ProfileSearch:
         return root, found.theta
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Problem:
     """The data, the confidence `level` of the limits, and the sampling period `tau0` in s.
 

@@ -7,6 +7,7 @@ deviations at the logs' own estimates would favour low estimates.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,10 +25,9 @@ from imucal.fitting.spectral.maximum import misfit
 from imucal.fitting.spectral.models import Structure, richest
 from imucal.fitting.spectral.ordinates import SHAPED
 from imucal.fitting.spectral.selection import choose
-from imucal.frozen import frozen, frozen_alone
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class BinFit:
     """A model fitted to the bins of a record, up to the end of the band, in one scale.
 
@@ -80,7 +80,7 @@ _FAR = 4.0
 _FLOOR = 0.5
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class SquaredCoefficient:
     """The estimate of a squared coefficient in SI², which may be negative.
 

@@ -13,14 +13,13 @@ Fourier transform removes the leakage.
 """
 
 from collections.abc import Iterable
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.spectral.models import Models, Structure
 from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
-from imucal.frozen import frozen_alone
 from imucal.noise.terms import ALWAYS, TERMS
 
 #: Added to the diagonal of the regressors' correlation.
@@ -33,7 +32,7 @@ _BETWEEN = np.linspace(0.4, 1.0, 25)
 _NONE = 1e-8
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Fits:
     """The likelihood of each of c models at one row of parameters, usually its maximum.
 

@@ -9,7 +9,7 @@ S_seen is the model behind its filter, and above the band the measured spectrum.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,7 +56,6 @@ from imucal.fitting.spectral.maximum import UNLIKELY, misfit, octave_score
 from imucal.fitting.spectral.models import SHORTEST_GIVEN, Structure, all_structures, richest
 from imucal.fitting.spectral.ordinates import FLICKER, Ordinates, band_top
 from imucal.fitting.spectral.selection import RankedModels, choice_findings, choose, near_candidates
-from imucal.frozen import frozen_alone
 from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.processes import try_side_work
 from imucal.recording import AxisSeries
@@ -65,7 +64,7 @@ from imucal.recording import AxisSeries
 _NOTICEABLE = 0.05
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class View:
     """The part of the spectrum to fit.
 

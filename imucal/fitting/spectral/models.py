@@ -9,14 +9,13 @@ slots as a model may have terms of that kind.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.spectral.ordinates import LAWS, SHAPED
-from imucal.frozen import frozen_alone
 from imucal.noise.terms import ALWAYS, TERMS, GaussMarkov, in_order, term_keys
 
 #: Symbols of a model's terms in the order of `imucal.noise.TERMS`.
@@ -31,7 +30,7 @@ SHORTEST_GIVEN = 2.0
 COLUMN = {law.value: index for index, law in enumerate(LAWS)}
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Models:
     """The terms, regressors and response orders of c models.
 

@@ -1,7 +1,7 @@
 """The data of the likelihood: sums of squared DCT ordinates in bins, and their products with regressors."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -11,7 +11,6 @@ import scipy
 from imucal.allan.dct import DctBins
 from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
 from imucal.fitting.regressors import Ramp, Regressor
-from imucal.frozen import frozen_alone
 from imucal.powerlaw import PowerLaw
 
 #: The power-law terms, in the order of a rising slope.
@@ -26,7 +25,7 @@ _FEW_BLOCKS = 2
 _BINNED = ("size", "power", "lam", "length", "sign", "basis", "cross", "gram")
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Ordinates:
     """Binned DCT ordinates, in scaled units: samples divided by `scale`, sampling period 1.
 

@@ -1,6 +1,7 @@
 """Choice among structures by an information criterion, and the models that it can't distinguish."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from imucal.fitting.spectral.likelihood import Fits
 from imucal.fitting.spectral.maximum import find_starts, maximize
 from imucal.fitting.spectral.models import SHORTEST_GIVEN, Structure, models_of
 from imucal.fitting.spectral.ordinates import Ordinates, coarser
-from imucal.frozen import frozen_alone
 from imucal.noise.model import structure_text
 from imucal.noise.terms import TERMS
 
@@ -30,7 +30,7 @@ LISTED_WITHIN = 6.0
 _AS_GOOD = 4.0
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class RankedModels:
     """The fits of models, sorted by rising information `criterion`, shape (c,).
 

@@ -4,10 +4,11 @@ A change splits windows over the log into two parts with a stable rate each. If 
 steps keep their length.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, median, percentile
-from imucal.frozen import frozen
 
 #: Most windows: enough to place a change within a share of the log.
 _MAX_WINDOWS = 400
@@ -33,7 +34,7 @@ _STABLE = 0.6
 _NEAR = 0.2
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Change:
     """A change of the sampling rate."""
 

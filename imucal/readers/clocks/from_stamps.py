@@ -1,7 +1,7 @@
 """Compute a clock from stamps: the rate, missing samples, and findings. Samples keep the order of the log."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,6 @@ from imucal.arrays import BoolArray, FloatArray, IntArray, median
 from imucal.clock import Clock, Segment
 from imucal.errors import ChoiceError, DataError, Fix
 from imucal.findings import Finding
-from imucal.frozen import frozen_alone
 from imucal.readers.clocks.changes import rate_change
 from imucal.readers.clocks.evened import evened
 from imucal.readers.clocks.notes import jitter_notes, jump_notes, rate_notes, stamp_notes, tick_notes
@@ -106,7 +105,7 @@ def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:
     return findings
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ClockReading:
     """The clock, the samples to keep and the findings."""
 

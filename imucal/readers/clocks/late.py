@@ -3,12 +3,12 @@
 If samples arrive in batches, one stamp of each batch belongs to a known sample, its first or its last.
 """
 
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
 from imucal.arrays import IntArray, median, percentile
-from imucal.frozen import frozen_alone
 from imucal.readers.clocks.period import Period
 from imucal.readers.clocks.runs import Runs
 from imucal.readers.clocks.wander import wander
@@ -35,7 +35,7 @@ _TICK_RANGE = 1.05
 _ANCHORS = ((True, True), (False, False), (False, True))
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Anchors:
     """The stamp of a known sample in each batch of a run: times in ns and places, shape (b,) each."""
 

@@ -1,6 +1,6 @@
 """The sampling period, and how the stamps differ from an even grid."""
 
-from imucal.frozen import frozen
+from dataclasses import dataclass
 
 #: Relative difference of two rates that does not matter: N differs by 0.25 %.
 SAME = 0.005
@@ -11,7 +11,7 @@ RATES = (1.0, 20_000.0)
 LIKELY_RATES = (10.0, 2_000.0)
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Period:
     """A first estimate of the sampling period under one reading of the stamps."""
 

@@ -1,9 +1,10 @@
 """Runs of stamps that represent a log."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from imucal.arrays import IntArray, median
-from imucal.frozen import frozen_alone
 
 #: Number of runs, spread over the log.
 _RUNS = 10
@@ -21,7 +22,7 @@ _EXAMINED = 100_000
 _FLOAT_ERROR_NS = 250
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Runs:
     """Runs of a log's stamps in ns."""
 

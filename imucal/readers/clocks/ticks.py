@@ -4,10 +4,11 @@ If the tick is shorter, some ticks pass without a sample; if it is longer, some 
 regular, so the numbers of samples have a line in their spectrum; random losses have none.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from imucal.arrays import FloatArray, IntArray, median, percentile
-from imucal.frozen import frozen
 from imucal.readers.clocks.runs import Runs
 
 #: Largest distance of steps from whole ticks, in units of the stamps' resolution: each stamp is rounded.
@@ -56,7 +57,7 @@ _PHASES = 16
 _MIN_SHARED = 1e-4
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class CoarseClock:
     """Samples of period `tau_ns` on a clock with ticks of `tick_ns`."""
 

@@ -15,7 +15,7 @@ from imucal.readers.containers.container import Batch, Loss, MessageFile, Task, 
 from imucal.readers.files import DamagedError, LogFile, refused
 
 
-@dataclass(slots=True)
+@dataclass
 class Chunk:
     """A chunk's place in the file."""
 

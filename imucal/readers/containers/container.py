@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from imucal.arrays import IntArray
 from imucal.findings import Finding
-from imucal.frozen import frozen
 from imucal.readers.files import LogFile, damaged_if
 from imucal.readers.read_options import Progress
 
 Bytes: TypeAlias = bytes | bytearray | memoryview
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Loss:
     """A damaged part of a log; `messages` is the number of lost ones, None if unknown."""
 
@@ -27,7 +26,7 @@ class Loss:
     messages: int | None = 0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Batch:
     """Messages of one channel: start and size of each payload in a buffer, and recording time in ns."""
 
@@ -78,7 +77,7 @@ def cells(rows: NDArray[np.void], at: int, dtype: str) -> NDArray[Any]:
     return numbers
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Channel:
     """A stream of messages of one type."""
 

@@ -24,7 +24,7 @@ class DefinitionError(Exception):
         self.fixes = (fix,) if fix else ()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Field:
     """A field of a message, with its path such as ``header.stamp.sec``."""
 
@@ -75,7 +75,7 @@ def long_type(name: str) -> str:
     return f"{package}/msg/{last}"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Line:
     """One field of a definition; `kind` is a basic type or ``package/msg/Name``.
 
@@ -100,7 +100,7 @@ class Line:
         return self.kind in _TIMES
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(eq=False)
 class Definition:
     """The definition of a message type, as parsed by rosbags.
 

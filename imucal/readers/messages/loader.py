@@ -48,7 +48,7 @@ class Decoder(Protocol):
         """Return the samples; raises DamagedError if a message can't be decoded."""
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(eq=False)
 class Stream:
     """A topic to decode: types of its columns, and decoders by (container, channel key)."""
 
@@ -56,7 +56,7 @@ class Stream:
     decoders: dict[tuple[int, int], Decoder]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Decoding:
     """The columns of a stream, log time first, and the losses."""
 

@@ -7,6 +7,7 @@ encapsulation. Source: OMG DDS-XTypes 1.3, 7.4.
 
 import re
 from collections.abc import Container, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from typing import Any, TypeAlias
 
@@ -14,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray
-from imucal.frozen import frozen
 from imucal.readers.containers import Batch, Bytes, gather
 from imucal.readers.containers.container import cells
 from imucal.readers.files import DamagedError, damaged_if
@@ -33,7 +33,7 @@ _BEFORE_FRAME = 12
 _MAX_FRAME_BYTES = 256
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Layout:
     """Byte order and alignment of numbers."""
 

@@ -3,14 +3,13 @@
 import json
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucal.errors import Fix, ReadError
-from imucal.frozen import frozen_alone
 from imucal.readers.containers import Channel, Container
 from imucal.readers.messages import schemas
 from imucal.readers.messages.definitions import (
@@ -58,7 +57,7 @@ class Number(NamedTuple):
     type: str
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Topic:
     """A topic over all files of a log."""
 

@@ -26,7 +26,7 @@ _MAX_MEMBERS = 600
 _STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Leaf:
     """A number, a time, or an array of numbers in a message.
 

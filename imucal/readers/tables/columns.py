@@ -1,11 +1,11 @@
 """Columns of a table, and the columns text of users: ``t=0,g=1:4,a=4:7``, or ``t=0,gz=1``."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Self
 
 from imucal.errors import ChoiceError, Fix
-from imucal.frozen import frozen
 from imucal.readers.tables.dialects import Dialect, find_dialect
 from imucal.readers.tables.layout import Rows, is_number
 from imucal.readers.tables.names import NamedColumn, Role, parse_column, plain_name
@@ -50,7 +50,7 @@ class ColumnsError(ChoiceError):
         self.example = example
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Triad:
     """The x, y and z columns of a sensor, or some of them, and its rows."""
 
@@ -94,7 +94,7 @@ class Triad:
         return f"{letter}={'+'.join(map(str, self.indices))}{rows}"
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class NamedTable:
     """A table before columns are chosen: parsed names and first cells."""
 

@@ -29,7 +29,7 @@ class Role(StrEnum):
     OTHER = "other"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class NamedColumn:
     """A column and its parsed name.
 

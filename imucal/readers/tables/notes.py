@@ -11,7 +11,7 @@ class RefusedError(Exception):
     """A file that imucal does not read; the text is the reason with advice. Caught in the child."""
 
 
-@dataclass(slots=True)
+@dataclass
 class Notes:
     """What a file contains in addition to its arrays."""
 

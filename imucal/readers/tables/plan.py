@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import PurePath
@@ -13,7 +13,6 @@ import numpy as np
 
 from imucal.errors import ChoiceError, Fix
 from imucal.findings import Finding
-from imucal.frozen import frozen
 from imucal.readers import fixes
 from imucal.readers.files import refused
 from imucal.readers.read_options import ReadOptions
@@ -60,7 +59,7 @@ _MAX_EXAMPLES = 4
 _MAX_TAGS = 8
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class SensorPlan:
     """The columns of one sensor.
 
@@ -74,7 +73,7 @@ class SensorPlan:
     untimed: str = ""
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class TablePlan:
     """The columns to read from a table, gyroscope first, and the reasons; `temperature` is an index."""
 

@@ -1,7 +1,7 @@
 """Time in a table: choose a sensor's time columns, find their unit and convert them to ns."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from operator import itemgetter
 from typing import Any, Literal, TypeAlias
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from imucal.arrays import FloatArray, IntArray, median
 from imucal.errors import ChoiceError
-from imucal.frozen import frozen
 from imucal.readers.clocks import estimate_period
 from imucal.readers.clocks.period import LIKELY_RATES, RATES
 from imucal.readers.files import refused
@@ -215,7 +214,7 @@ _BONUS = _points("""
 """)
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class TimeChoice:
     """The time of a sensor's samples: indices of its columns, and its name in the log.
 

@@ -43,7 +43,7 @@ def kind_of(cells: Sequence[str], *, text: bool) -> Kind:
     return "integer" if integers else "float"
 
 
-@dataclass(slots=True, kw_only=True)
+@dataclass(kw_only=True)
 class BlockReader:
     """Reads the wanted columns of a text table, block by block.
 

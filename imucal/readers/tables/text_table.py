@@ -58,7 +58,7 @@ _SUFFIXES = (".csv", ".tsv", ".txt")
 _MAX_TABLES = 1000
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(eq=False)
 class _Text:
     """A text with its layout; `source` is None if it must be opened again."""
 
@@ -393,7 +393,7 @@ def _read_blocks(
     return cut
 
 
-@dataclass(slots=True)
+@dataclass
 class _RowWatch:
     """Refuses a text with a long part that has no rows or, if it is compressed, repeats one line."""
 

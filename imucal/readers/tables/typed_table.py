@@ -8,6 +8,7 @@ z. Arrays of different lengths are separate tables.
 import math
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,6 @@ from numpy.typing import NDArray
 
 from imucal.errors import ImucalError
 from imucal.findings import Finding
-from imucal.frozen import frozen, frozen_alone
 from imucal.readers.files import first_bytes, refused
 from imucal.readers.foreign import OBJECTS_IN_NPZ
 from imucal.readers.isolation import isolated, require
@@ -62,7 +62,7 @@ _RATES = frozenset(
 _NAVEGO = {"fb": ("accelerometer", "m/s^2"), "wb": ("gyroscope", "rad/s")}
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class TypedColumn:
     """A column, shape (n,), with name and unit."""
 
@@ -129,7 +129,7 @@ def _flatten(
         notes.skip(name, array.shape, array.dtype)
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class TableFile:
     """The columns of a file.
 

@@ -6,14 +6,13 @@ A filter with the fitted N and K alone would be overconfident; see `imucal.predi
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
 from imucal.errors import DataError, Fix
 from imucal.fitting.noise_fit import Estimate, NoiseFit
-from imucal.frozen import frozen, frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.prediction.filter_numbers import (
@@ -48,7 +47,7 @@ def _require(value: str, choices: tuple[str, ...], what: str) -> None:
         raise ValueError(f"{what} {value!r} is not one of {', '.join(choices)}")
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class ExportOptions:
     """The user's options for a downstream file.
 
@@ -125,7 +124,7 @@ def read_options(text: str) -> ExportOptions:
     return DEFAULT_OPTIONS
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Number:
     """One positive coefficient for a file, in SI, with the inflation applied.
 
@@ -173,7 +172,7 @@ class Number:
         return f"{text}; {self.excess:.2g} x the line that touches the measured curve"
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class WithBias:
     """An axis as white noise N and a first-order Gauss-Markov bias, dx/dt = -x/T + driving * w(t).
 
@@ -192,7 +191,7 @@ class WithBias:
         return self.driving * math.sqrt(self.correlation_time / 2)
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Numbers:
     """The numbers of a report for one file format.
 

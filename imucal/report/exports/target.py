@@ -13,7 +13,6 @@ from itertools import chain
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from imucal.errors import DataError, Fix
-from imucal.frozen import frozen_alone
 from imucal.noise.terms import TERMS
 from imucal.prediction.filter_numbers import HORIZON_S, FilterNumbers
 from imucal.prediction.left_out import causes
@@ -75,7 +74,7 @@ def comment(lines: Iterable[str], sign: str = "#") -> str:
 _GROWTH = {Sensor.GYROSCOPE: "rad/s^2", Sensor.ACCELEROMETER: "m/s^3"}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Formula:
     """Compute a number from a coefficient c and the rate f of the file's stream, in Hz.
 
@@ -121,7 +120,7 @@ FORMULAS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Key:
     """A key of a file: a sensor, a term, and the formula of the number.
 
@@ -176,7 +175,7 @@ class Entry(NamedTuple):
         return f"{self.name}: {self.remark}"
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Target:
     """A downstream format: one table of `formats/*.toml`.
 

@@ -47,7 +47,7 @@ SIZES = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Awkward:
     """Stamps in ns, in the order of the log, and the truth.
 

@@ -20,7 +20,7 @@ N, RATE = 400, 100.0
 EPOCH = 1_700_000_000_000_000_000
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Truth:
     """Samples at rest in SI, shape (N, 3), and their times in ns from the first."""
 
@@ -61,7 +61,7 @@ def xyz(values: FloatArray) -> list[list[str]]:
     return [cells(values[:, i]) for i in range(3)]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Style:
     """A layout: how to write it, what the reader must report, and the options that the user must add."""
 

@@ -7,7 +7,7 @@ A bend multiplies the spectrum of the noise:
 with `top` at the upper edge of the band. The gain at zero frequency is 1, so that N keeps its meaning.
 """
 
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,13 +18,12 @@ from imucal.fitting.spectral.disturbances.hump import Hump, hump_finding
 from imucal.fitting.spectral.likelihood import Fits
 from imucal.fitting.spectral.models import COLUMN, SHORTEST
 from imucal.fitting.spectral.ordinates import Ordinates, band_top
-from imucal.frozen import frozen_alone
 
 #: Number of bins that show the highest frequencies of the band.
 _HIGHEST = 8
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Band:
     """The part of the spectrum to fit, up to a `fraction` of Nyquist, and its bend.
 

@@ -11,7 +11,7 @@ rounding of the samples, the search goes on with correlation times that are too 
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -30,7 +30,6 @@ from imucal.fitting.spectral.models import (
     shaped_symbols,
 )
 from imucal.fitting.spectral.ordinates import SHAPED, Ordinates, coarser
-from imucal.frozen import frozen_alone
 
 #: Returns the variance of the samples' rounding, in scaled units.
 Rounding: TypeAlias = Callable[[], float]
@@ -112,7 +111,7 @@ def _coarse(ordinates: Ordinates) -> Ordinates:
     return coarser(ordinates.below(1.0), singles=48, merge=3)
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Trial:
     """One description of the bins below an edge: a structure, perhaps with curvature coefficients.
 

@@ -201,7 +201,7 @@ def _between(samples: FloatArray, gaps: IntArray) -> FloatArray:
     return np.asarray(left[gap] + fraction * (right - left)[gap])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Pairs:
     """Distances between missing samples: `lag`, shape (l,), and its indices of |i-j| and i+j+1, (g, g)."""
 

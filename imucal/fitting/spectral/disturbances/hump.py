@@ -4,7 +4,7 @@ A low-pass filter can imitate such a hump, and the fit then reports too much whi
 power laws to the bins outside find the interval, which is excluded as a whole.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from imucal.fitting.spectral.likelihood import derivatives, evaluate
 from imucal.fitting.spectral.maximum import fit_blindly
 from imucal.fitting.spectral.models import COLUMN, Structure, models_of
 from imucal.fitting.spectral.ordinates import Ordinates
-from imucal.frozen import frozen
 
 #: A hump is the run of bins with the largest sum of standardised residuals, each less this.
 _EXCESS = 0.5
@@ -52,7 +51,7 @@ _ROUNDS = 10
 _MIN_BINS = 24
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Hump:
     """An interval of frequencies, as fractions of Nyquist, with up to `times` the density of the noise."""
 

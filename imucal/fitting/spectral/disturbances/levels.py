@@ -8,7 +8,7 @@ N contain both.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -18,7 +18,6 @@ from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate
 from imucal.fitting.spectral.maximum import UNLIKELY
 from imucal.fitting.spectral.ordinates import Ordinates
-from imucal.frozen import frozen
 from imucal.noise.terms import GaussMarkov
 
 __all__ = [
@@ -52,7 +51,7 @@ _SMOOTHING = "a Gauss-Markov term, or white noise behind a smoothing filter to w
 AT_THE_TOP = "a filter, or a vibration beside the white noise"
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Level:
     """A reading of N in U/sqrt(Hz), with its limits."""
 

@@ -5,6 +5,7 @@ clock). It is left out together with its neighbours.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
@@ -13,7 +14,6 @@ from imucal.allan.dct import DctBins
 from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.fitting.noise_fit import Line
 from imucal.fitting.regressors import cycle_ordinates
-from imucal.frozen import frozen
 
 #: False alarm rate per record.
 _CHANCE = 0.01
@@ -43,7 +43,7 @@ _MIN_SKIP = 3
 _MAX_SKIP = 0.02
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Sine:
     """A steady line: cosine cos(omega (t + 1/2)) + sine sin(omega (t + 1/2)), omega in rad/sample."""
 

@@ -7,6 +7,7 @@ a change of one is not attributed to the other.
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,7 +26,6 @@ from imucal.fitting.spectral.likelihood import Fits, derivatives
 from imucal.fitting.spectral.maximum import bounds
 from imucal.fitting.spectral.models import COLUMN
 from imucal.fitting.spectral.ordinates import Ordinates
-from imucal.frozen import frozen_alone
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import term_keys
 from imucal.recording import AxisSeries
@@ -44,7 +44,7 @@ _PER_OCTAVE = 12
 _REACH = 3
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class SegmentOrdinates:
     """The ordinates of all segments, one after the other, without regressors.
 

@@ -6,7 +6,7 @@ a rich noise model: the one that gains most, if the gain exceeds its price and a
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Generic, TypeVar, cast
 
 import numpy as np
@@ -27,7 +27,6 @@ from imucal.fitting.spectral.likelihood import Fits
 from imucal.fitting.spectral.maximum import fit_blindly
 from imucal.fitting.spectral.models import COLUMN, Structure, models_of
 from imucal.fitting.spectral.ordinates import SHAPED, Ordinates
-from imucal.frozen import frozen
 from imucal.recording import AxisSeries
 
 #: A rich model, so that a shape gains only what no noise explains.
@@ -106,7 +105,7 @@ _Shape = TypeVar("_Shape", bound=Regressor)
 _Shape_co = TypeVar("_Shape_co", bound=Regressor, covariant=True)
 
 
-@frozen
+@dataclass(frozen=True, kw_only=True)
 class Disturbance(Generic[_Shape_co]):
     """A shape in the samples that is not noise, such as a temperature, a warm-up, a step or a cycle.
 

@@ -5,7 +5,7 @@ are made orthogonal to the fit's regressors.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -13,7 +13,6 @@ import scipy
 from imucal.arrays import FloatArray
 from imucal.fitting.regressors import Bump, LevelChange, Regressor, Stretch, cycle_ordinates
 from imucal.fitting.spectral.blocks import Block
-from imucal.frozen import frozen_alone
 
 #: Number of places in a block to search for a step.
 _PLACES = 8192
@@ -25,7 +24,7 @@ _CLEAR = 0.005
 _COLLINEAR = 1e-6
 
 
-@frozen_alone
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Whitened:
     """The lowest ordinates of blocks, divided by the root of their spectrum, minus the fitted regressors.
 
