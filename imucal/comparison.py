@@ -12,7 +12,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
-from imucal.arguments import takes
 from imucal.errors import ArgumentError, DataError
 from imucal.fitting.noise_fit import Estimate
 from imucal.multiple_tests import holm
@@ -83,7 +82,6 @@ class Comparison:
         return tuple(difference for difference in self.differences if difference.outcome == "differs")
 
 
-@takes("imucal.compare(report, other_report)", a=Report, b=Report)
 def compare(a: Report, b: Report, *, alpha: float = 0.05, tolerance: float = 0.0) -> Comparison:
     """Compare two reports, axis by axis and term by term.
 

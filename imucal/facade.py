@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, TypedDict, Unpack, overload
 import numpy as np
 
 from imucal.allan import AllanCurve
-from imucal.arguments import takes
 from imucal.arrays import FloatArray
 from imucal.calibration import Calibration
 from imucal.calibration.document import CalibrationDocument, load_document, to_document
@@ -229,7 +228,6 @@ def export(
         return export_report(found, target, Path(path), options)
 
 
-@takes('imucal.check(report, "limits.toml")')
 def check(
     report: Report | Calibration | str | Path,
     limits: Limits | str | Path | None = None,
@@ -286,11 +284,6 @@ def _limits(limits: Limits | str | Path | None) -> Limits:
     return parse_limits(text) if "\n" in text or "=" in text else read_limits(Path(text))
 
 
-@takes(
-    'imucal.simulate("N=1e-4 + B=2e-5", rate_hz=200.0)',
-    model=(str, NoiseModel),
-    accelerometer=(str, NoiseModel, type(None)),
-)
 def simulate(
     model: NoiseModel | str,
     accelerometer: NoiseModel | str | None = None,
@@ -346,7 +339,6 @@ def simulate(
     return recording
 
 
-@takes('imucal.info("log.mcap")', log=(str, Path))
 def info(log: str | Path) -> LogContents:
     """Return what is in a log: its topics with their types, counts, rates and lengths.
 
@@ -358,7 +350,6 @@ def info(log: str | Path) -> LogContents:
     return describe(log)
 
 
-@takes('imucal.sensor("BMI088")', name=str)
 def sensor(name: str) -> Part:
     """Return a part with the noise figures of its data sheet, such as ``sensor("BMI088")``.
 

@@ -12,7 +12,6 @@ from imucal._version import __version__
 from imucal.advice import advised_report
 from imucal.allan import Spectrum, allan_curve, spectrum
 from imucal.allan.dct import Transform
-from imucal.arguments import takes
 from imucal.arrays import FloatArray, never_changes
 from imucal.errors import ArgumentError, DataError
 from imucal.findings import Finding, as_sentence
@@ -27,12 +26,13 @@ from imucal.fitting.robust import clean
 from imucal.fitting.spectral.blocks import no_noise
 from imucal.fitting.spectral.disturbances.not_noise import not_noise
 from imucal.grading import is_motion
+from imucal.parallel import side_by_side
 from imucal.planning import resolution_findings
-from imucal.processes import findings_or_why_not, side_by_side
 from imucal.recording import AxisSeries, ReadRange, Recording, Temperature
 from imucal.report.result import AxisReport, Overview, Report
 from imucal.resources import memory_limit, threads
 from imucal.screening import screen_values, worst_first
+from imucal.side_work import findings_or_why_not
 
 #: Samples from which constant axes are refused early.
 _BLOCK = 1 << 20
@@ -82,10 +82,6 @@ class Settings(FitSettings):
         return {name: getattr(self, name) for name in _DOCUMENTED} | {"reading": dict(self.reading)}
 
 
-Settings.__init__ = takes('imucal.Settings(model="N + B")')(Settings.__init__)  # type: ignore[method-assign]
-
-
-@takes('imucal.characterize(imucal.read("log.mcap"))', recording=Recording, settings=(Settings, type(None)))
 def characterize(
     recording: Recording,
     settings: Settings | None = None,
@@ -181,7 +177,6 @@ def _of_no_result(
         yield _no_result(failure, findings)
 
 
-@takes('imucal.screen(imucal.read("log.mcap"))', recording=Recording)
 def screen(recording: Recording, *, workers: int = 1) -> tuple[Finding, ...]:
     """Return the problems of a recording, worst first; empty for a good one.
 

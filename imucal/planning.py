@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from imucal.arguments import takes
 from imucal.errors import ArgumentError
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import NoiseFit
@@ -20,7 +19,6 @@ from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import Sensor
 from imucal.report.result import AxisReport, Report
-from imucal.solvers import root, root_near
 from imucal.units import duration
 
 #: One standard deviation on each side.
@@ -106,7 +104,6 @@ class _Ask:
         return float(ndtri((1 + self.level) / 2))
 
 
-@takes("imucal.plan(report)", source=(NoiseModel, NoiseFit, Report))
 def plan(
     source: NoiseModel | NoiseFit | Report,
     *,
@@ -218,9 +215,11 @@ def _axis_plan(model: NoiseModel, terms: list[tuple[NoiseTerm, bool]], ask: _Ask
             if ask.duration_s is not None:
                 bound = _bound(whole, name, ask.rate_hz, ask.duration_s)
                 reached, detected = _found(bound) * ask.quantile, _share_detected(name, bound)
-            near, enough = ask.duration_s or _USUAL, _largest_bound(name, wanted)
-            long = ask.longer and bound <= enough
-            needed = near if long else _needed(whole, name, ask.rate_hz, enough, near)
+            enough = _largest_bound(name, wanted)
+            if ask.longer and ask.duration_s is not None and bound <= enough:
+                needed = ask.duration_s
+            else:
+                needed = _needed(whole, name, ask.rate_hz, enough)
             needs.append(Need(name, term.symbol, value, bounded, needed, reached, detected))
     needs.sort(key=lambda need: list(TERMS).index(need.symbol))
     return AxisPlan(model=str(model), rate_hz=ask.rate_hz, duration_s=ask.duration_s, needs=tuple(needs))
@@ -244,8 +243,10 @@ def _share_detected(name: str, bound: float) -> float:
     return 0.5 * math.erfc((bound - half) / (math.sqrt(2) * width))
 
 
-def _needed(model: NoiseModel, name: str, rate_hz: float, enough: float, near_s: float) -> float:
+def _needed(model: NoiseModel, name: str, rate_hz: float, enough: float) -> float:
     """Return the length of record, in s, at which the smallest relative standard error is `enough`."""
+    from scipy.optimize import brentq
+
     target = math.log(enough)
 
     def excess(log_duration: float) -> float:
@@ -253,13 +254,12 @@ def _needed(model: NoiseModel, name: str, rate_hz: float, enough: float, near_s:
         # Finite, so that the search continues.
         return math.log(max(bound, 1e-300)) - target if bound < math.inf else _NO_INFORMATION
 
-    low, high = math.log(2 / rate_hz), math.log(_LONGEST)
-    found = root_near(excess, math.log(near_s), -0.5, low=low, high=high, tolerance=_LAST_STEP)
-    if found is not None:
-        return math.exp(found)
-    if excess(high) > 0:
+    shortest, longest = math.log(2 / rate_hz), math.log(_LONGEST)
+    if excess(longest) > 0:
         return math.inf
-    return math.exp(root(excess, low, high, tolerance=_TOLERANCE)) if excess(low) > 0 else math.exp(low)
+    if excess(shortest) <= 0:
+        return math.exp(shortest)
+    return math.exp(brentq(excess, shortest, longest, xtol=_TOLERANCE))
 
 
 def _largest_bound(name: str, wanted: float) -> float:

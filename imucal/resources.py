@@ -5,6 +5,7 @@ including library threads.
 """
 
 import os
+import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path, PurePosixPath
@@ -23,6 +24,11 @@ _UNKNOWN = 2_000_000_000
 _COLUMNS = 500_000_000
 #: One step may use the memory divided by this.
 _SHARE = 4
+#: The control groups of this process, and the folder of all groups.
+_OWN_GROUP = Path("/proc/self/cgroup")
+_GROUPS = Path("/sys/fs/cgroup")
+#: Start of the line of a group of version 2.
+_UNIFIED = "0::"
 #: Read by the matrix libraries when they are loaded, and by all libraries.
 MATRICES = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 POOLS = ("POLARS_MAX_THREADS", "RAYON_NUM_THREADS", "OMP_NUM_THREADS", *MATRICES)
@@ -81,8 +87,7 @@ def threads() -> int:
     """
     text = os.environ.get(THREADS, "").strip()
     if not text:
-        there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        return min([there, *control_group_processors()])
+        return min([_processors(), *control_group_processors()])
     if not (text.isascii() and text.isdigit() and int(text)):
         raise SettingError(f"{THREADS}: found {text!r}, expected a number from 1; set one, or unset it")
     return int(text)
@@ -105,6 +110,13 @@ def single_matrix_thread() -> None:
         os.environ.setdefault(name, "1")
 
 
+def _processors() -> int:
+    """Return the processors that this process may use."""
+    if sys.version_info >= (3, 13):
+        return os.process_cpu_count() or 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def _physical() -> int | None:
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -112,47 +124,32 @@ def _physical() -> int | None:
         return None
 
 
-def control_group_limits(
-    groups: Path = Path("/proc/self/cgroup"), root: Path = Path("/sys/fs/cgroup")
-) -> list[int]:
+def control_group_limits(groups: Path = _OWN_GROUP, root: Path = _GROUPS) -> list[int]:
     """Return the memory limits, in bytes, of this process's control group and those above it.
 
-    Source: Linux, Documentation/admin-guide/cgroup-v1/memory.rst and cgroup-v2.rst.
+    Source: Linux, Documentation/admin-guide/cgroup-v2.rst (``memory.max``).
     """
-    found = _numbers(groups, root, "memory", ["memory.max"], ["memory.limit_in_bytes"])
-    return [size for size, *others in found if not others]
+    return [int(text) for text in _limits(groups, root, "memory.max") if text.isdecimal()]
 
 
-def control_group_processors(
-    groups: Path = Path("/proc/self/cgroup"), root: Path = Path("/sys/fs/cgroup")
-) -> list[int]:
+def control_group_processors(groups: Path = _OWN_GROUP, root: Path = _GROUPS) -> list[int]:
     """Return the processors that the control groups allow, rounded up.
 
-    Source: Linux, Documentation/scheduler/sched-bwc.rst and admin-guide/cgroup-v2.rst (``cpu.max``).
+    Source: Linux, Documentation/admin-guide/cgroup-v2.rst (``cpu.max``: a quota, or "max", and its period).
     """
-    # Without a limit the quota is "max", or -1.
-    found = _numbers(groups, root, "cpu", ["cpu.max"], ["cpu.cfs_quota_us", "cpu.cfs_period_us"])
-    return [-(-numbers[0] // numbers[1]) for numbers in found if len(numbers) == 2]
+    pairs = [text.split() for text in _limits(groups, root, "cpu.max")]
+    return [-(-int(quota) // int(period)) for quota, period in pairs if quota.isdecimal()]
 
 
-def _numbers(
-    groups: Path, root: Path, controller: str, unified: list[str], own: list[str]
-) -> Iterator[list[int]]:
-    """Yield the numbers in the files of a process's groups and those above, if all of them are limits.
-
-    A line of `groups` is, for example, ``4:memory:/docker/1f``. With ``0::/user.slice`` all controllers share
-    their groups, whose files are the `unified` ones.
-    """
-    for line in _text(groups).splitlines():
-        _, controllers, path = (*line.split(":", 2), "", "")[:3]
-        if controllers and controller not in controllers.split(","):
-            continue
-        group, top = PurePosixPath(path.lstrip("/")), root / controller if controllers else root
-        for part in (group, *group.parents):
-            texts = (_text(top / part / name) for name in (own if controllers else unified))
-            words = [word for text in texts for word in text.split()]
-            if words and all(word.isdecimal() and int(word) > 0 for word in words):
-                yield list(map(int, words))
+def _limits(groups: Path, root: Path, name: str) -> Iterator[str]:
+    """Yield the text of a file in this process's control group (version 2) and in those above it."""
+    own = next((line for line in _text(groups).splitlines() if line.startswith(_UNIFIED)), None)
+    if own is None:
+        return
+    group = PurePosixPath(own.removeprefix(_UNIFIED).lstrip("/"))
+    for part in (group, *group.parents):
+        if text := _text(root / part / name).strip():
+            yield text
 
 
 def _text(file: Path) -> str:

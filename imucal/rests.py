@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucal.arguments import takes
 from imucal.arrays import FloatArray
 from imucal.clock import Clock
 from imucal.errors import DataError
@@ -57,7 +56,6 @@ class _Stretch:
         return self.end_s - self.start_s
 
 
-@takes('imucal.at_rest(imucal.read("drive.mcap"))', recording=Recording)
 def at_rest(recording: Recording) -> Recording:
     """Return the rests of a recording, with gaps between them; a finding lists them.
 

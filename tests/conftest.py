@@ -44,9 +44,9 @@ def faults_fail_the_test(monkeypatch: pytest.MonkeyPatch) -> None:
     All tests use it, because it changes no result of a program without faults, and a fault could occur in any
     test. IMUCAL_DEBUG would do the same but also changes the messages of the command line.
     """
-    from imucal import processes
+    from imucal import side_work
 
-    monkeypatch.setattr(processes, "faults_are_raised", lambda: True)
+    monkeypatch.setattr(side_work, "faults_are_raised", lambda: True)
 
 
 @pytest.fixture

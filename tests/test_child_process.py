@@ -14,7 +14,7 @@ from typing import cast
 import psutil
 import pytest
 
-from imucal.processes import Answer, ChildProcess
+from imucal.child_process import Answer, ChildProcess
 
 #: Bytes that a question may use.
 MEMORY = 1 << 30
@@ -103,7 +103,7 @@ def test_an_endless_question_leaves_no_process(child: ChildProcess, disturb: str
 SCRIPT = f"""
 import os, re, signal, threading, time
 import psutil
-from imucal.processes import ChildProcess
+from imucal.child_process import ChildProcess
 child = ChildProcess(preloaded=("fractions",))
 limits = dict(seconds=600, memory={MEMORY})
 server = child.ask(os.getppid, **limits).value

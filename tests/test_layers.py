@@ -12,7 +12,6 @@ BELOW: dict[str, set[str]] = {
     "arrays": set(),
     "errors": set(),
     "findings": {"errors"},
-    "arguments": {"errors"},
     "grading": {"errors", "findings"},
     "_version": set(),
     "atomic": {"errors"},
@@ -24,14 +23,15 @@ BELOW: dict[str, set[str]] = {
     "printable": set(),
     "resources": {"errors", "user_input"},
     "recording": {"arrays", "clock", "display", "errors", "findings", "user_input"},
-    "processes": {"errors", "findings"},
+    "child_process": set(),
+    "parallel": {"child_process"},
+    "side_work": {"errors", "findings"},
     "powerlaw": {"arrays"},
-    "solvers": {"arrays"},
     "units": {"recording"},
     "user_input": {"errors"},
 }
 BASE = set(BELOW)
-BELOW["remote"] = {"_version", "errors", "processes", "resources", "user_input"}
+BELOW["remote"] = {"_version", "child_process", "errors", "parallel", "resources", "user_input"}
 BELOW |= {
     "readers": BASE | {"remote"},
     "screening": BASE,

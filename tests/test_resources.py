@@ -68,15 +68,14 @@ def test_the_default_is_a_quarter_of_the_smallest_limit(monkeypatch: pytest.Monk
         ("0::/job/a", "job/a/memory.max", [1000]),
         ("0::/job/a", "job/memory.max", [1000]),
         ("0::/", "memory.max", [1000]),
-        ("4:cpu,memory:/docker/1f", "memory/docker/1f/memory.limit_in_bytes", [1000]),
-        ("4:cpu:/docker/1f", "memory/docker/1f/memory.limit_in_bytes", []),
+        ("4:memory:/job/a", "job/a/memory.max", []),
         ("0::/job/b", "job/a/memory.max", []),
     ],
 )
 def test_the_limits_of_control_groups_are_read(
     line: str, file: str, limits: list[int], tmp_path: Path
 ) -> None:
-    """Both versions are supported, and limits of parent groups count."""
+    """Limits of parent groups count."""
     (tmp_path / "cgroup").write_text(f"9:name=systemd:/\n{line}\n", encoding="utf-8")
     limit = tmp_path / "root" / file
     limit.parent.mkdir(parents=True, exist_ok=True)
@@ -93,16 +92,15 @@ def test_the_limits_of_control_groups_are_read(
         ("0::/job/a", {"job/a/cpu.max": "150000 100000"}, [2]),
         ("0::/job/a", {"job/a/cpu.max": "max 100000", "job/cpu.max": "100000 100000"}, [1]),
         ("0::/job/a", {"job/a/cpu.max": "max 100000"}, []),
-        ("3:cpu,cpuacct:/d", {"cpu/d/cpu.cfs_quota_us": "350000", "cpu/d/cpu.cfs_period_us": "100000"}, [4]),
-        ("3:cpu,cpuacct:/d", {"cpu/d/cpu.cfs_quota_us": "-1", "cpu/d/cpu.cfs_period_us": "100000"}, []),
-        ("3:memory:/d", {"cpu/d/cpu.cfs_quota_us": "350000", "cpu/d/cpu.cfs_period_us": "100000"}, []),
+        ("0::/job/a", {"job/cpu.max": "350000 100000"}, [4]),
+        ("3:cpu,cpuacct:/job/a", {"job/a/cpu.max": "350000 100000"}, []),
         ("0::/job/a", {}, []),
     ],
 )
 def test_the_processors_of_control_groups_are_read(
     line: str, files: dict[str, str], processors: list[int], tmp_path: Path
 ) -> None:
-    """They are the quota per period, rounded up; both versions and parent groups count."""
+    """They are the quota per period, rounded up; parent groups count."""
     (tmp_path / "cgroup").write_text(f"9:name=systemd:/\n{line}\n", encoding="utf-8")
     for name, text in files.items():
         (tmp_path / "root" / name).parent.mkdir(parents=True, exist_ok=True)
@@ -114,6 +112,7 @@ def test_the_processors_of_control_groups_are_read(
 def test_a_container_has_fewer_threads_than_its_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     """The smaller one of available processors and quota counts."""
     monkeypatch.delenv("IMUCAL_THREADS", raising=False)
+    monkeypatch.setattr(os, "process_cpu_count", lambda: 8, raising=False)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
     for groups, count in (([], 8), ([3], 3), ([16, 2], 2)):
         monkeypatch.setattr(resources, "control_group_processors", lambda value=groups: value)

@@ -7,14 +7,14 @@ from typing import NoReturn
 import numpy as np
 import pytest
 
-from imucal import pipeline, processes, screening
+from imucal import pipeline, screening, side_work
 from imucal.errors import DataError
 from imucal.pipeline import Settings, characterize, screen
-from imucal.processes import findings_or_why_not, try_side_work
 from imucal.recording import AxisSeries, Recording, Source
 from imucal.report import figure, html_page
 from imucal.report.json_file import load
 from imucal.report.writer import write_report
+from imucal.side_work import findings_or_why_not, try_side_work
 from tests.cli.run import SAMPLE_LOGS, run
 from tests.report.synthetic import small_report
 from tests.screening.still import recording, still
@@ -34,7 +34,7 @@ FAILURES = [
 @pytest.fixture
 def as_a_user(monkeypatch: pytest.MonkeyPatch) -> None:
     """Report faults of the program as findings, as outside the tests."""
-    monkeypatch.setattr(processes, "faults_are_raised", lambda: False)
+    monkeypatch.setattr(side_work, "faults_are_raised", lambda: False)
 
 
 def _failing(error: Exception) -> Callable[..., NoReturn]:
@@ -75,9 +75,9 @@ def test_faults_are_raised_for_developers(monkeypatch: pytest.MonkeyPatch, *, de
     """Developers set IMUCAL_DEBUG or run these tests; errors caused by data remain findings."""
     if debug:
         monkeypatch.undo()
-        assert not processes.faults_are_raised()
+        assert not side_work.faults_are_raised()
         monkeypatch.setenv("IMUCAL_DEBUG", "1")
-    assert processes.faults_are_raised()
+    assert side_work.faults_are_raised()
     with pytest.raises(KeyError):
         try_side_work(_failing(KeyError("K")), None, what="", code="")
     assert try_side_work(_failing(ZeroDivisionError()), None, what="No", code="")[1]
@@ -126,7 +126,7 @@ def test_a_failed_check_does_not_prevent_the_others(
 @pytest.mark.usefixtures("as_a_user")
 def test_an_axis_is_fitted_without_screening(monkeypatch: pytest.MonkeyPatch) -> None:
     """The fit does not need the profile that fails."""
-    monkeypatch.setattr(screening, "profile", _failing(FloatingPointError("overflow")))
+    monkeypatch.setattr(screening, "measured", _failing(FloatingPointError("overflow")))
     (axis,) = characterize(_one_axis()).axes
     assert "N" in str(axis.fit.model)
     (finding,) = [f for f in axis.findings if f.code == "not-checked"]

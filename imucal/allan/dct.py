@@ -32,7 +32,6 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from imucal.arguments import takes
 from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays
 from imucal.errors import ArgumentError, DataError
 from imucal.recording import AxisSeries
@@ -339,7 +338,6 @@ class Spectrum(ReadOnlyArrays):
     count: FloatArray
 
 
-@takes('imucal.spectrum(recording["gyro_x"])', series=AxisSeries)
 def spectrum(series: AxisSeries, *, per_octave: int = 12, transform: Transform | None = None) -> Spectrum:
     """Return the log-binned psd of an axis; missing samples are skipped.
 

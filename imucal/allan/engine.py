@@ -15,7 +15,6 @@ from imucal.allan.variance import (
     variances,
     window_variances,
 )
-from imucal.arguments import takes
 from imucal.arrays import IntArray
 from imucal.errors import ArgumentError, DataError
 from imucal.recording import TINY, AxisSeries
@@ -26,7 +25,6 @@ _DECADE = re.compile(r"decade(?::(?P<count>[1-9]\d{0,3}))?")
 _PER_DECADE = 10
 
 
-@takes('imucal.allan_curve(recording["gyro_x"])', series=AxisSeries)
 def allan_curve(
     series: AxisSeries,
     *,

@@ -32,11 +32,11 @@ from imucal.allan.dct import (
     ramp_ordinates,
     run_ordinates,
 )
+from imucal.allan.least_squares import non_negative
 from imucal.allan.variance import GappyVariances, sum_of_squares
 from imucal.arrays import BoolArray, FloatArray, IntArray, read_only
 from imucal.powerlaw import PowerLaw
 from imucal.recording import AxisSeries
-from imucal.solvers import non_negative
 
 #: More lags than this are summed on a graded grid.
 _ALL_LAGS = 1024

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucal.arguments import takes
 from imucal.arrays import FloatArray, ReadOnlyArrays
 from imucal.calibration.document import Intrinsics
 from imucal.calibration.poses import at_other_times, triad
@@ -119,11 +118,6 @@ def _doubts(found: Intrinsics, frame: str) -> Iterator[Finding]:
         yield Finding("info", "no-biases", text)
 
 
-@takes(
-    'imucal.apply(imucal.load_calibration("calibration"), imucal.read("flight.mcap"))',
-    calibration=(Calibration, Intrinsics),
-    recording=Recording,
-)
 def apply(calibration: Calibration | Intrinsics, recording: Recording) -> Recording:
     """Return a recording in m/s² and rad/s without bias, scale error, misalignment and g-sensitivity.
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from imucal.arguments import takes
 from imucal.arrays import FloatArray
 from imucal.calibration.document import FILE_NAME, SCHEMA, Intrinsics, from_document, intrinsics_of
 from imucal.errors import ChoiceError, Fix, ReadError
@@ -31,7 +30,6 @@ _EXPECTED = (
 _IMU_TK_NUMBERS = 21
 
 
-@takes('imucal.load_calibration("calibration")', path=(str, Path))
 def load_calibration(path: str | Path) -> Intrinsics:
     """Read a calibration of imucal, Kalibr, OpenVINS, librealsense or imu_tk.
 

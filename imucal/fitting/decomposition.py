@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucal.arguments import takes
 from imucal.arrays import FloatArray, ReadOnlyArrays
 from imucal.errors import ArgumentError, DataError
 from imucal.fitting.noise_fit import NoiseFit, keyed
@@ -64,11 +63,6 @@ class Decomposition(ReadOnlyArrays):
         return np.asarray(self.samples - self.bias.value)
 
 
-@takes(
-    'imucal.decompose(recording["gyro_x"], report["gyro_x"].fit)',
-    series=AxisSeries,
-    fit=(NoiseFit, NoiseModel),
-)
 def decompose(
     series: AxisSeries, fit: NoiseFit | NoiseModel, *, clean: bool = True, progress: Progress | None = None
 ) -> Decomposition:

@@ -5,7 +5,6 @@ from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
-from imucal.arguments import takes
 from imucal.checking.verdict import Row, Verdict
 from imucal.errors import DataError, Fix
 from imucal.fitting.noise_fit import Estimate, Interval, NoiseFit
@@ -28,7 +27,6 @@ _VERDICTS: dict[Verdict, str] = {
 }
 
 
-@takes('imucal.fleet_as_report(imucal.load_fleet("fleet"))', fleet=Fleet)
 def fleet_as_report(fleet: Fleet, model: str | None = None, *, value: FleetValue = "tolerance") -> Report:
     """Return the values of a sensor model in the form of the report of one log.
 
@@ -115,7 +113,6 @@ def _estimate(fleet: Fleet, term: FleetTerm, value: FleetValue, what: str) -> Es
     )
 
 
-@takes('imucal.check_fleet(report, imucal.load_fleet("fleet"))', report=Report, fleet=Fleet)
 def check_fleet(
     report: Report, fleet: Fleet, model: str | None = None, *, alpha: float = 0.05
 ) -> tuple[Row, ...]:

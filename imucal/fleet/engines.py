@@ -9,11 +9,11 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import TypeAlias, cast
 
+from imucal.child_process import Answer, ChildProcess
 from imucal.fleet.logs import LogTask
 from imucal.fleet.plan import FleetSettings
 from imucal.fleet.store import LogRow
 from imucal.fleet.work import first_row, memory_reason, work_on
-from imucal.processes import Answer, ChildProcess
 from imucal.resources import MEMORY, POOLS, THREADS
 
 #: The system may have killed a process because of another log.

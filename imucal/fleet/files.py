@@ -12,15 +12,14 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from imucal.arguments import takes
 from imucal.findings import Finding
 from imucal.fleet.page import render_fleet_page, verdict
 from imucal.fleet.pictures import drawn_as, fleet_pictures
 from imucal.fleet.summary import Fleet, FleetTerm
 from imucal.printable import printable
-from imucal.processes import try_side_work
 from imucal.report.out_folder import OutFolder
 from imucal.report.typed_json import JsonObject, picked, to_json
+from imucal.side_work import try_side_work
 
 SCHEMA = "imucal/fleet/1"
 
@@ -113,7 +112,6 @@ def _term(term: FleetTerm) -> JsonObject:
     }
 
 
-@takes('imucal.write_fleet(imucal.load_fleet("fleet"))', fleet=Fleet, out=(str, Path, type(None)))
 def write_fleet(
     fleet: Fleet,
     out: str | Path | None = None,

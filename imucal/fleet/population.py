@@ -23,7 +23,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc, chdtri, fdtrc, ndtr, ndtri, stdtr, stdtrit
 
-from imucal.arguments import takes
 from imucal.arrays import FloatArray
 from imucal.errors import ArgumentError
 from imucal.findings import Finding
@@ -134,7 +133,6 @@ class Population:
         return None if self.bounded else self.median.value
 
 
-@takes("imucal.population(values)", logs=[LogValue])
 def population(logs: Sequence[LogValue], *, content: float = 0.95, confidence: float = 0.95) -> Population:
     """Return the distribution of a coefficient over the units of a fleet, from any number of `logs` per unit.
 

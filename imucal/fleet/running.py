@@ -6,7 +6,6 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-from imucal.arguments import takes
 from imucal.errors import ArgumentError
 from imucal.fleet.engines import Done, on_this_machine
 from imucal.fleet.logs import LogTask
@@ -28,7 +27,6 @@ class RunCount:
     done_size: int = 0
 
 
-@takes('imucal.run_fleet("logs", "fleet")', logs=(str, Path, Iterable, type(None)), folder=(str, Path))
 def run_fleet(
     logs: str | Path | Iterable[str | Path] | None = None,
     folder: str | Path = "fleet",

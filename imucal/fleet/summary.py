@@ -8,7 +8,6 @@ from pathlib import Path, PurePosixPath
 from typing import Any, ClassVar, TypeAlias
 
 from imucal._version import __version__
-from imucal.arguments import takes
 from imucal.display import Displayed
 from imucal.errors import ChoiceError, DataError, Fix
 from imucal.fitting.homogeneity import symbol_of
@@ -155,7 +154,6 @@ class Fleet(Displayed):
         return next(model for model in self.models if model.name == chosen)
 
 
-@takes('imucal.load_fleet("fleet")', folder=(str, Path))
 def load_fleet(folder: str | Path, *, content: float = 0.95, confidence: float = 0.95) -> Fleet:
     """Return the statistics of each sensor model of a fleet.
 

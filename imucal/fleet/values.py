@@ -6,7 +6,6 @@ from typing import Any
 
 from scipy.special import ndtri
 
-from imucal.arguments import takes
 from imucal.errors import ArgumentError, DataError, Fix
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.fitting.settings import FitSettings
@@ -83,7 +82,6 @@ class LogValue:
         return low, self.value * (self.high / self.value) ** ratio
 
 
-@takes('imucal.log_values("unit-1", report["gyro_x"].fit)', unit=str, fit=NoiseFit)
 def log_values(
     unit: str,
     fit: NoiseFit,

@@ -14,13 +14,13 @@ from imucal.fleet.store import REPORTS, LogRow
 from imucal.fleet.values import log_values
 from imucal.noise.terms import TERMS
 from imucal.pipeline import Settings, characterize
-from imucal.processes import try_side_work
 from imucal.readers import read
 from imucal.readers.remote_logs import LocalLogs, local_logs
 from imucal.recording import Recording
 from imucal.remote import is_url
 from imucal.remote.stores import identify
 from imucal.report.result import Report
+from imucal.side_work import try_side_work
 
 #: Clocks that start with the sensor begin in 1970, so earlier stamps are no dates; in ns.
 _FIRST_DATE_NS = 946_684_800 * 10**9

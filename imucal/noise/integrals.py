@@ -27,7 +27,6 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from imucal.arguments import takes
 from imucal.arrays import FloatArray
 from imucal.errors import ArgumentError
 
@@ -171,7 +170,6 @@ Acvf: TypeAlias = Callable[[FloatArray], ArrayLike] | ArrayLike
 _ROUNDING = 1e-9
 
 
-@takes("imucal.avar_from_psd(psd, m, tau0)")
 def avar_from_psd(
     psd: Psd, m: ArrayLike, tau0: float, *, sampled: bool = True, breaks: Sequence[float] = ()
 ) -> FloatArray:
@@ -241,7 +239,6 @@ def avar_from_psd(
     return np.array(total)[place].reshape(np.shape(m))
 
 
-@takes("imucal.avar_from_acvf(acvf, m)")
 def avar_from_acvf(acvf: Acvf, m: ArrayLike) -> FloatArray:
     """Return the Allan variance of stationary samples with any autocovariance.
 

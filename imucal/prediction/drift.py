@@ -13,7 +13,6 @@ from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
-from imucal.arguments import takes
 from imucal.arrays import FloatArray
 from imucal.errors import ArgumentError, DataError
 from imucal.fitting.noise_fit import NoiseFit
@@ -118,7 +117,6 @@ class _Axis(NamedTuple):
     fit: NoiseFit
 
 
-@takes("imucal.drift(report)")
 def drift(
     source: Characterised | NoiseFit,
     times_s: Sequence[float] = TIMES_S,

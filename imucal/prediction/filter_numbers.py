@@ -17,7 +17,6 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from imucal.arguments import takes
 from imucal.arrays import FloatArray
 from imucal.errors import ArgumentError, DataError
 from imucal.fitting.noise_fit import NoiseFit
@@ -106,7 +105,6 @@ class FilterNumbers:
         return math.inf if time is None else self.walk * math.sqrt(time / 2)
 
 
-@takes('imucal.filter_numbers([report["gyro_x"].fit])', fits=[NoiseFit])
 def filter_numbers(
     fits: Sequence[NoiseFit],
     *,

@@ -15,7 +15,7 @@ from urllib.parse import quote, unquote, urlunsplit
 
 from imucal._version import __version__
 from imucal.errors import ArgumentError, ReadError, SettingError
-from imucal.processes import DOWNLOADS
+from imucal.parallel import DOWNLOADS
 from imucal.remote.addresses import (
     PACKAGES,
     WEB,

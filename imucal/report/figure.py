@@ -17,7 +17,7 @@ import numpy as np
 from imucal.errors import ChoiceError
 from imucal.findings import Finding
 from imucal.noise.terms import TERMS
-from imucal.processes import side_by_side, try_side_work
+from imucal.parallel import side_by_side
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.figure_curves import (
@@ -42,6 +42,7 @@ from imucal.report.numbers import SheetUnits, sheet_units
 from imucal.report.result import AxisReport, Report
 from imucal.report.view import Row, View, views
 from imucal.resources import threads
+from imucal.side_work import try_side_work
 from imucal.units import duration
 
 if TYPE_CHECKING:

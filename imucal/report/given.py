@@ -9,7 +9,6 @@ import numpy as np
 from imucal._version import __version__
 from imucal.allan.curve import AllanCurve
 from imucal.allan.dct import Spectrum
-from imucal.arguments import takes
 from imucal.errors import DataError, Fix
 from imucal.findings import Finding
 from imucal.fitting.noise_fit import Estimate, Goodness, Interval, NoiseFit
@@ -28,7 +27,6 @@ FROM_SHEET = "from the data sheet, not measured"
 _RECORD_S = 3 * 3600.0
 
 
-@takes('imucal.model_as_report({"gyroscope": "N=0.3deg/sqrt(h)"}, rate_hz=200.0)', models=Mapping)
 def model_as_report(models: Mapping[Sensor, str], *, rate_hz: float) -> Report:
     """Return models, for example from a data sheet, in the form of the report of one log.
 
@@ -63,7 +61,6 @@ def model_as_report(models: Mapping[Sensor, str], *, rate_hz: float) -> Report:
     )
 
 
-@takes('imucal.part_as_report(imucal.sensor("BMI088"), rate_hz=200.0)')
 def part_as_report(part: "Part", *, rate_hz: float) -> Report:
     """Return the figures of a data sheet in the form of the report of one log.
 

@@ -12,7 +12,6 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
-from imucal.processes import try_side_work
 from imucal.recording import Sensor
 from imucal.report import figure, numbers, page_parts
 from imucal.report.figure_curves import (
@@ -28,6 +27,7 @@ from imucal.report.markup import Markup, render
 from imucal.report.numbers import SheetUnits
 from imucal.report.result import AxisReport, Overview, Report
 from imucal.report.typed_json import JsonObject, to_json
+from imucal.side_work import try_side_work
 from imucal.units import duration, pretty
 
 #: Points of a smooth line.

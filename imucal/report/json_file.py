@@ -10,7 +10,6 @@ import numpy as np
 
 from imucal.allan.curve import AllanCurve
 from imucal.allan.dct import Spectrum
-from imucal.arguments import takes
 from imucal.arrays import FloatArray
 from imucal.errors import ReadError
 from imucal.findings import Finding
@@ -207,7 +206,6 @@ def schema() -> JsonObject:
     return document
 
 
-@takes('imucal.load_report("folder")', path=(str, Path))
 def load(path: str | Path) -> Report:
     """Read a report back; `path` is a ``report.json`` or its folder.
 

@@ -5,15 +5,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imucal.arguments import takes
 from imucal.findings import Finding
-from imucal.processes import try_side_work
 from imucal.recording import Sensor
 from imucal.report.document import SCHEMA
 from imucal.report.json_file import SIGNAL_FILE, axis_document, signal_document, to_document
 from imucal.report.out_folder import OutFolder
 from imucal.report.result import Report
 from imucal.report.typed_json import dumps
+from imucal.side_work import try_side_work
 
 if TYPE_CHECKING:
     from imucal.report.figure import Drawings
@@ -22,7 +21,6 @@ _REPORT = "report.json"
 _OWN = re.compile(r"report\.(json|html)|signal\.json|(gyro|accel)(_[xyz])?\.(json|png|svg|pdf)")
 
 
-@takes('imucal.write_report(report, "folder")', report=Report, out=(str, Path))
 def write_report(
     report: Report,
     out: str | Path,

@@ -5,7 +5,7 @@ from functools import partial
 from typing import TypeAlias
 
 from imucal.findings import Finding
-from imucal.processes import findings_or_why_not, side_by_side, try_side_work
+from imucal.parallel import side_by_side
 from imucal.recording import AxisSeries, Recording
 from imucal.screening.interleaved import check_interleaved
 from imucal.screening.motion import check_motion, check_shaken, check_tremor, check_turned
@@ -23,7 +23,8 @@ from imucal.screening.values import (
     check_swapped,
     temperature_finding,
 )
-from imucal.screening.windows import Profile, amount, profile
+from imucal.screening.windows import Measured, Profile, amount, measured, profile
+from imucal.side_work import findings_or_why_not, try_side_work
 
 __all__ = ["amount", "screen_units", "screen_values", "worst_first"]
 
@@ -53,12 +54,13 @@ def screen_values(recording: Recording, *, workers: int = 1) -> tuple[Finding, .
     The samples are read once, in blocks, up to `workers` axes at a time.
     """
 
-    def made(series: AxisSeries) -> tuple[Profile | None, tuple[Finding, ...]]:
+    def tried(series: AxisSeries) -> tuple[Measured | None, tuple[Finding, ...]]:
         what = "The axis can't be screened"
-        return try_side_work(partial(profile, series), None, what=what, code=_FAILED, axis=series.name)
+        return try_side_work(partial(measured, series), None, what=what, code=_FAILED, axis=series.name)
 
-    made_of = list(side_by_side(made, recording.series, workers=workers))
-    profiles = [one for one, _ in made_of if one]
+    made_of = side_by_side(tried, recording.series, workers=workers)
+    pairs = zip(recording.series, made_of, strict=True)
+    profiles = [Profile.of(series, found) for series, (found, _) in pairs if found]
     empty = [finding for p in profiles for finding in check_no_data(p)]
     dead = {finding.axis for finding in empty}
     alive = [p for p in profiles if p.name not in dead and p.windows.size]

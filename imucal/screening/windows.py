@@ -242,20 +242,40 @@ _STRETCH = 2048
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Profile:
-    """One axis for the checks, without the `left_out` NaN, infinite and impossible samples.
+class Measured:
+    """What the checks need to know of one axis besides its samples.
 
-    Mean and variance of suspect `windows` exclude spikes. `disturbed`, shape (k,), marks the windows that are
-    not at rest. `lsb` is the step of the values in U. `noise` is the standard deviation of the white noise
-    per sample, in U.
+    Attributes
+    ----------
+    left_out
+        Number of NaN, infinite and impossible samples.
+    windows
+        Mean and variance of suspect windows exclude spikes.
+    disturbed
+        Which windows are not at rest, shape (k,).
+    lsb
+        Step of the values in U.
+    noise
+        Standard deviation of the white noise per sample, in U.
     """
 
-    series: AxisSeries
     left_out: int
     windows: Windows
     disturbed: NDArray[np.bool_]
     lsb: float | None
     noise: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Profile(Measured):
+    """One axis for the checks, without the samples that are left out."""
+
+    series: AxisSeries
+
+    @classmethod
+    def of(cls, series: AxisSeries, found: Measured) -> "Profile":
+        """Return the profile of an axis that was measured, perhaps in another process."""
+        return cls(series=series.finite(), **vars(found))
 
     @property
     def name(self) -> str:
@@ -271,6 +291,11 @@ def profile(series: AxisSeries, resting: Callable[[Windows], Windows] | None = N
 
     For a log that is mostly in motion, `resting` selects the windows at rest.
     """
+    return Profile.of(series, measured(series, resting))
+
+
+def measured(series: AxisSeries, resting: Callable[[Windows], Windows] | None = None) -> Measured:
+    """Return what `profile` adds to an axis."""
     n, series = series.n, series.finite()
     windows = cut(series)
     lsb = resolution(series)
@@ -279,8 +304,7 @@ def profile(series: AxisSeries, resting: Callable[[Windows], Windows] | None = N
         windows = without_spikes(series, windows, marks)
         marks = disturbed(windows, lsb, resting and resting(windows))
     quiet = windows.step_variance[~marks & (windows.variance > 0)]
-    return Profile(
-        series=series,
+    return Measured(
         left_out=n - series.n,
         windows=windows,
         disturbed=marks,

@@ -7,8 +7,8 @@ import threading
 from collections.abc import Callable, Iterator
 from unittest import mock
 
+from imucal.child_process import Answer, ChildProcess
 from imucal.fleet import engines
-from imucal.processes import Answer, ChildProcess
 
 __all__ = ["logs_done_here"]
 

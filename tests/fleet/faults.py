@@ -26,7 +26,7 @@ PATIENCE = 120.0
 #: CPU time in s that a process has used when it works on its log: the resolution of the system.
 _WORKS_S = 0.01
 #: Part of the command line of a child that answers questions, and of its forks.
-CHILD = "imucal.processes import serve"
+CHILD = "imucal.child_process import serve"
 #: The command, with the package of these tests and blank pictures.
 COMMAND = f"""
 import sys

@@ -15,7 +15,7 @@ from typing import Any
 import psutil
 import pytest
 
-from imucal.processes import ChildProcess
+from imucal.child_process import ChildProcess
 from tests.fleet.faults import Bench, ended, stopped_log
 from tests.fleet.simulated_fleet import make_fleet
 

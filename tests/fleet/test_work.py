@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imucal.child_process import ChildProcess
 from imucal.errors import WriteError
 from imucal.fleet import running
 from imucal.fleet.engines import child_process, on_this_machine, row_of
@@ -16,7 +17,6 @@ from imucal.fleet.logs import LogTask
 from imucal.fleet.plan import FleetPlan, FleetSettings
 from imucal.fleet.store import RunFile, read_store
 from imucal.fleet.work import first_row, work_on
-from imucal.processes import ChildProcess
 from imucal.resources import POOLS, THREADS
 
 #: Samples of the logs: enough for a fit, which takes a tenth of a second.

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imucal import processes
+from imucal import child_process
 from imucal.errors import ReadError
 from imucal.readers import isolation, read
 from imucal.readers.isolation import isolated
@@ -96,7 +96,7 @@ def test_an_interrupted_call_leaves_no_result_behind(file: Path, monkeypatch: py
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(processes, "_receive", interrupted)
+        patch.setattr(child_process, "_receive", interrupted)
         with pytest.raises(KeyboardInterrupt):
             call(file, len, b"abcd")
     assert call(file, len, b"ab") == 2

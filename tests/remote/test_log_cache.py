@@ -105,7 +105,7 @@ def test_a_reader_in_another_process_does_not_lose_a_log(
 
 def test_a_download_does_not_prevent_forks(web: WebServer, cache: Path) -> None:
     """Axes are fitted in forked processes; fsspec's thread is idle then."""
-    script = FETCH + "from imucal.processes import may_fork, side_by_side\n"
+    script = FETCH + "from imucal.parallel import may_fork, side_by_side\n"
     script += "print(may_fork(), side_by_side(str, [1, 2], workers=2))\n"
     out, err = start(web.add("/a", BODY), script).communicate(timeout=60)
     assert err == ""

@@ -22,6 +22,7 @@ from itertools import chain, combinations, groupby, product
 import numpy as np
 import scipy
 
+from imucal.allan.least_squares import non_negative
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.fitting.moments.points import AvarPoints, columns, is_timed, spread_of, unit_terms
@@ -30,12 +31,13 @@ from imucal.fitting.settings import CRITERIA, FitSettings
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import ALWAYS, TERMS, in_order, term_keys
-from imucal.solvers import non_negative, root
 
 #: Times per decade of the grid; places to refine.
 _PER_DECADE, _STARTS = 3, 3
 #: Tolerances of the sum of squares: for results, and for choosing a model.
 _FINE, ROUGH = 1e-12, 1e-3
+#: Tolerance of a limit, as a share of it.
+_SHARP = 1e-6
 #: Step of a log time for a derivative.
 _STEP = 1e-4
 #: Misfit above which the shortest averaging times are dropped, least ratio by which this must reduce it, and
@@ -322,11 +324,11 @@ def limits(value: float, spread_at: Callable[[float], float], quantile: float) -
     def excess(trial: float) -> float:
         return (value - trial) ** 2 - quantile * own * spread_at(trial)
 
-    low = root(excess, 0.0, value, tolerance=1e-6 * value) if excess(0.0) > 0 else 0.0
+    low = scipy.optimize.brentq(excess, 0.0, value, xtol=_SHARP * value) if excess(0.0) > 0 else 0.0
     high = value + np.sqrt(quantile) * own
     for _ in range(200):
         if excess(high) > 0:
-            return low, root(excess, value, high, tolerance=1e-6 * high)
+            return low, scipy.optimize.brentq(excess, value, high, xtol=_SHARP * high)
         high = value + 2 * (high - value)
     return low, float("inf")
 

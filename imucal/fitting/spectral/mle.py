@@ -57,8 +57,8 @@ from imucal.fitting.spectral.models import SHORTEST_GIVEN, Structure, all_struct
 from imucal.fitting.spectral.ordinates import FLICKER, Ordinates, band_top
 from imucal.fitting.spectral.selection import RankedModels, choice_findings, choose, near_candidates
 from imucal.noise.terms import TERMS, GaussMarkov
-from imucal.processes import try_side_work
 from imucal.recording import AxisSeries
+from imucal.side_work import try_side_work
 
 #: Share of the width of N's interval from which another form of flicker noise is tried.
 _NOTICEABLE = 0.05

@@ -8,6 +8,7 @@ import pytest
 
 from imucal.allan import allan_curve
 from imucal.allan.curve import AllanCurve
+from imucal.allan.least_squares import non_negative
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
 from imucal.fitting import FitSettings
@@ -18,7 +19,6 @@ from imucal.fitting.noise_fit import NoiseFit
 from imucal.noise.model import NoiseModel
 from imucal.noise.terms import TERMS
 from imucal.recording import AxisSeries
-from imucal.solvers import non_negative
 from tests.fitting.moments.curves import octave_curve, simulated_curve
 from tests.noise.test_new_term import SecondOrder
 

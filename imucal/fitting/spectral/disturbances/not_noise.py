@@ -34,9 +34,9 @@ from imucal.fitting.spectral.disturbances.shapes import (
     with_shape,
 )
 from imucal.fitting.spectral.models import richest
-from imucal.processes import try_side_work
 from imucal.recording import AxisSeries
 from imucal.screening import amount
+from imucal.side_work import try_side_work
 from imucal.units import pretty
 
 #: Largest number of lines listed in a finding.

@@ -1,19 +1,12 @@
-"""Work in other processes: a child that answers questions, forked children; and optional work that may fail.
+"""A child process that answers questions: for code that may hang, use all memory or crash.
 
-Code that may hang, use all memory or crash runs in a `ChildProcess`, with limits of time and memory.
-
-`side_by_side` forks, because threads would wait for the interpreter's lock. A forked child sees the data of
-its parent without a copy.
-
-Side work only judges or draws a result: if it fails, a finding reports the failure.
+Each question has a limit of time and of memory. The child is a new interpreter: `multiprocessing` would
+import the user's main module again, and can't give a child another environment.
 """
 
 import ctypes
-import gc
 import importlib
-import io
 import itertools
-import multiprocessing
 import os
 import pickle
 import signal
@@ -28,45 +21,28 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, BinaryIO, Literal, TypeAlias, TypeVar, cast
+from typing import IO, BinaryIO, Literal, TypeAlias, cast
 
-import numpy as np
-
-from imucal.errors import DataError
-from imucal.findings import Finding
-
-if TYPE_CHECKING:
-    from multiprocessing.context import ForkProcess
+__all__ = ["Answer", "ChildClosedError", "ChildProcess", "end_with_parent", "own_path", "serve"]
 
 #: late: it took too long; ended: its process crashed or was killed.
 Outcome: TypeAlias = Literal["done", "failed", "no-memory", "late", "ended"]
 #: The whole address space, or private writable memory.
 Counted: TypeAlias = Literal["addresses", "data"]
 
+#: Length of a message in front of it: eight bytes, little-endian.
 _LENGTH = struct.Struct("<Q")
-_START = "import sys; sys.path[:] = {path!r}; from imucal.processes import serve; serve(*{preloaded!r})"
+#: Script of the child.
+_START = "import sys; sys.path[:] = {path!r}; from imucal.child_process import serve; serve(*{preloaded!r})"
 #: Argument of prctl: the signal that a process gets when its parent ends.
 _PARENT_DEATH_SIGNAL = 1
 #: Seconds between checks that the parent is alive.
 _LOOK_S = 1.0
 #: Bytes of a child's standard error that are kept.
 _WORDS = 2000
-#: Name of the thread of `imucal.readers.checksums`.
-CHECKSUMS = "imucal checksums"
-#: Start of the names of fsspec's threads, which are idle after a download.
-DOWNLOADS = "fsspecIO"
-#: Threads without locks that a child needs: ours, the class of rich's progress bars, and fsspec's.
-_HARMLESS = frozenset({CHECKSUMS, "_RefreshThread", DOWNLOADS})
-#: Warnings that were shown, as Python registers them for each module.
-_SEEN: dict[str | tuple[str, type[Warning], int], int] = {}
 #: Warning of Python 3.12 and later.
-_FORK_WARNING = r".*multi-threaded, use of fork"
-_NUMERIC = (ArithmeticError, np.linalg.LinAlgError)
-
-T = TypeVar("T")
-R = TypeVar("R")
+FORK_WARNING = r".*multi-threaded, use of fork"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,7 +198,7 @@ def serve(*preloaded: str) -> None:
     """Answer questions on standard input until it ends; runs in the child."""
     # The parent kills the child after an interrupt.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=leave_with, args=(os.getppid(),), daemon=True).start()
+    threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True).start()
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     for module in preloaded:
@@ -251,10 +227,10 @@ def _answered_in_fork(question: bytes) -> bytes:
     server = os.getpid()
     with warnings.catch_warnings():
         # The other thread only sleeps.
-        warnings.filterwarnings("ignore", _FORK_WARNING, DeprecationWarning)
+        warnings.filterwarnings("ignore", FORK_WARNING, DeprecationWarning)
         process = os.fork()
     if not process:
-        _end_with_parent(server)
+        end_with_parent(server)
         try:
             with os.fdopen(writer, "wb") as stream:
                 stream.write(_answered(question))
@@ -269,7 +245,7 @@ def _answered_in_fork(question: bytes) -> bytes:
     return answer if code == 0 else pickle.dumps(Answer(outcome="ended", code=code))
 
 
-def _end_with_parent(parent: int) -> None:
+def end_with_parent(parent: int) -> None:
     """Let the system kill this process when its parent ends, also in a call that never returns."""
     with suppress(AttributeError, OSError):
         ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL)
@@ -277,7 +253,7 @@ def _end_with_parent(parent: int) -> None:
         os._exit(1)
 
 
-def leave_with(parent: int) -> None:
+def _leave_with(parent: int) -> None:
     """End this process when its parent has ended."""
     while os.getppid() == parent:
         time.sleep(_LOOK_S)
@@ -309,213 +285,3 @@ def _receive(stream: BinaryIO) -> bytes | None:
     (size,) = _LENGTH.unpack(head)
     data = stream.read(size)
     return data if len(data) == size else None
-
-
-def may_fork() -> bool:
-    """Return whether this process can fork safely.
-
-    It can't on other systems than Linux; in a child of `multiprocessing`; with other Python threads, whose
-    locks would stay locked in the child; under a debugger or a profiler.
-    """
-    if not sys.platform.startswith("linux") or sys.gettrace() or sys.getprofile():
-        return False
-    others = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
-    return (
-        multiprocessing.parent_process() is None
-        and threading.current_thread() is threading.main_thread()
-        and all(_HARMLESS & {thread.name.partition("_")[0], type(thread).__name__} for thread in others)
-    )
-
-
-def side_by_side(
-    work: Callable[[T], R],
-    items: Sequence[T],
-    *,
-    workers: int,
-    done: Callable[[int, T | None], None] | None = None,
-) -> list[R]:
-    """Return `work(item)` for each item, in their order.
-
-    At most `workers` forked processes work at a time; if forking is not safe, this process does all items. If
-    an item fails or its process is killed, this process does that item and the remaining ones, so an error is
-    raised as in a loop. No child outlives the call. `done` is called with the number of finished items and
-    the first unfinished item, or None.
-    """
-    found: dict[int, R] = {}
-
-    def notify() -> None:
-        if done:
-            done(len(found), next((item for index, item in enumerate(items) if index not in found), None))
-
-    if workers > 1 and len(items) > 1 and may_fork():
-        _in_children(work, items, min(workers, len(items)), found, notify)
-    for index, item in enumerate(items):
-        if index not in found:
-            notify()
-            found[index] = work(item)
-    notify()
-    return [found[index] for index in range(len(items))]
-
-
-def trim_memory() -> None:
-    """Return freed memory to the system if the C library is glibc.
-
-    Otherwise freed pages count for this process, and again for each child that writes to them.
-    """
-    if sys.platform.startswith("linux"):
-        with suppress(AttributeError, OSError):
-            ctypes.CDLL(None).malloc_trim(0)
-
-
-def _in_children(
-    work: Callable[[T], R],
-    items: Sequence[T],
-    workers: int,
-    found: dict[int, R],
-    notify: Callable[[], None],
-) -> None:
-    """Add results to `found`, until all are there or one fails."""
-    processes: list[ForkProcess] = []
-    in_hand: dict[Connection, int] = {}
-    trim_memory()
-    try:
-        for index in range(workers):
-            pipe = _start(work, items, processes)
-            if pipe is None:
-                break
-            _give(pipe, index, in_hand)
-        todo = iter(range(len(in_hand), len(items)))
-        while in_hand:
-            notify()
-            for pipe in [pipe for pipe in wait(list(in_hand)) if isinstance(pipe, Connection)]:
-                index = in_hand.pop(pipe)
-                if not _received(pipe, index, items, found):
-                    todo = iter(())
-                elif (following := next(todo, None)) is not None:
-                    _give(pipe, following, in_hand)
-            if len(found) == len(items):
-                return
-    finally:
-        for process in processes:
-            process.kill()
-        for process in processes:
-            process.join()
-
-
-def _start(work: Callable[[T], R], items: Sequence[T], processes: "list[ForkProcess]") -> Connection | None:
-    """Add a child to `processes` and return its pipe; None if the system refuses one."""
-    context = multiprocessing.get_context("fork")
-    # Block interrupts until the child is in the list. The child never gets one: its parent kills it.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        ours, theirs = context.Pipe()
-        with theirs, warnings.catch_warnings():
-            warnings.filterwarnings("ignore", _FORK_WARNING, DeprecationWarning)
-            process = context.Process(target=_serve, args=(work, items, theirs, os.getpid()), daemon=True)
-            process.start()
-        processes.append(process)
-    except OSError:
-        return None
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    return ours
-
-
-def _give(pipe: Connection, index: int, in_hand: dict[Connection, int]) -> None:
-    """Send an index; if the child is gone, reading its result will show it."""
-    in_hand[pipe] = index
-    with suppress(OSError):
-        pipe.send_bytes(b"%d" % index)
-
-
-class _Sender(pickle.Pickler):
-    """Pickles a result without the item, which the parent has."""
-
-    item: object
-
-    def persistent_id(self, obj: object) -> str | None:
-        return "item" if obj is self.item else None
-
-
-class _Receiver(pickle.Unpickler):
-    item: object
-
-    def persistent_load(self, pid: object) -> object:  # noqa: ARG002 - there is one
-        return self.item
-
-
-def _received(pipe: Connection, index: int, items: Sequence[T], found: dict[int, R]) -> bool:
-    """Add a child's result to `found` and show its warnings; False if it ended without a result."""
-    try:
-        receiver = _Receiver(io.BytesIO(pipe.recv_bytes()))
-    except (EOFError, OSError):
-        return False
-    receiver.item = items[index]
-    found[index], caught = receiver.load()
-    for message, category, file, line in caught:
-        warnings.warn_explicit(message, category, file, line, registry=_SEEN)
-    return True
-
-
-def _serve(work: Callable[[T], R], items: Sequence[T], pipe: Connection, parent: int) -> None:
-    """Send the result and the warnings of each requested item; runs in the child.
-
-    An error ends the child silently: its parent repeats the work and raises the error.
-    """
-    try:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        threading.Thread(target=leave_with, args=(parent,), daemon=True).start()
-        # Garbage collection would write to pages shared with the parent.
-        gc.freeze()
-        while True:
-            index = int(pipe.recv_bytes())
-            with warnings.catch_warnings(record=True) as caught:
-                result = work(items[index])
-            sentence = [(one.message, one.category, one.filename, one.lineno) for one in caught]
-            packed = io.BytesIO()
-            sender = _Sender(packed, protocol=5)
-            sender.item = items[index]
-            sender.dump((result, sentence))
-            pipe.send_bytes(packed.getbuffer())
-    finally:
-        # Exit at once, so that the parent's buffers are not written twice.
-        os._exit(1)
-
-
-def try_side_work(
-    make: Callable[[], T], otherwise: R, *, what: str, code: str, axis: str | None = None
-) -> tuple[T | R, tuple[Finding, ...]]:
-    """Return the result of `make` and no finding; or `otherwise` and a finding with the reason.
-
-    A DataError and a failed calculation become a finding. So does a bug, so that it does not cost hours of
-    data; with IMUCAL_DEBUG it is raised. The finding begins with `what`, such as ``The fit of the Allan curve
-    failed``.
-    """
-    try:
-        return make(), ()
-    except DataError as error:
-        why = error.sentence if error.place == axis else str(error)
-    except _NUMERIC as error:
-        why = f"the calculation failed ({_last_words(error)})"
-    except Exception as error:
-        if faults_are_raised():
-            raise
-        why = f"internal error ({_last_words(error)}); please report it, IMUCAL_DEBUG=1 shows where"
-    return otherwise, (Finding("warning", code, f"{what}: {why}.", axis=axis),)
-
-
-def findings_or_why_not(
-    judge: Callable[[], tuple[Finding, ...]], *, what: str, code: str, axis: str | None = None
-) -> tuple[Finding, ...]:
-    """Return the findings of `judge`, or a finding with the reason why it failed."""
-    found, failed = try_side_work(judge, (), what=what, code=code, axis=axis)
-    return found + failed
-
-
-def faults_are_raised() -> bool:
-    """Return whether bugs are raised: IMUCAL_DEBUG is set."""
-    return bool(os.environ.get("IMUCAL_DEBUG"))
-
-
-def _last_words(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}".rstrip(". ")
