@@ -27,6 +27,10 @@ Outcome: TypeAlias = Literal["differs", "same", "bounded", "only-a", "only-b"]
 _TIME = ".T"
 
 
+#: Most rows in a short text.
+_SHOWN = 10
+
+
 @dataclass(frozen=True, kw_only=True)
 class Difference:
     """One term of one axis in both reports: the estimates a and b, None if a report has none.
@@ -70,6 +74,15 @@ class Comparison:
     tolerance: float
     differences: tuple[Difference, ...]
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        lines = [
+            f"Comparison of {self.b} with {self.a}: {len(self.significant)} of {self.tested} terms differ"
+        ]
+        for each in self.significant[:_SHOWN]:
+            ratio = "" if each.ratio is None else f", {each.ratio:.3g} times"
+            lines.append(f"{each.axis} {each.key}: p = {each.p_adjusted:.2g}{ratio}")
+        return "\n".join(lines)
 
     @property
     def tested(self) -> int:

@@ -24,10 +24,12 @@ from imucal.checking.calibrated import check_calibration
 from imucal.errors import ArgumentError, ImucalError
 from imucal.fitting import NoiseFit
 from imucal.fitting import fit as fit_axis
+from imucal.fleet.as_report import check_fleet, fleet_as_report
+from imucal.fleet.summary import Fleet
 from imucal.noise import NoiseModel
 from imucal.pipeline import Settings, characterize
 from imucal.prediction.filter_numbers import STEP_S
-from imucal.readers import LogContents, describe
+from imucal.readers import LogContents, describe, read
 from imucal.recording import AxisSeries, Recording, Sensor
 from imucal.report.exports import export as export_report
 from imucal.report.exports import refuse_unsound
@@ -69,7 +71,9 @@ def _refusals() -> Iterator[None]:
 
 
 @overload
-def fit(source: Recording, **options: Unpack[FitOptions]) -> Report: ...
+def fit(  # type: ignore[overload-overlap] # NumPy also takes a text for an array
+    source: Recording | str | Path, **options: Unpack[FitOptions]
+) -> Report: ...
 @overload
 def fit(
     source: "AxisSeries | AllanCurve | ArrayLike",
@@ -81,7 +85,7 @@ def fit(
     **options: Unpack[FitOptions],
 ) -> NoiseFit: ...
 def fit(
-    source: "Recording | AxisSeries | AllanCurve | ArrayLike",
+    source: "Recording | str | Path | AxisSeries | AllanCurve | ArrayLike",
     *,
     rate_hz: float | None = None,
     sensor: str = "gyroscope",
@@ -94,8 +98,8 @@ def fit(
     Parameters
     ----------
     source
-        An axis of a recording, an Allan curve, or an array of evenly spaced samples in rad/s or m/s^2, shape
-        (n,). A whole recording is also screened, as by `imucal.characterize`.
+        A recording, or the path of its log; or an axis of a recording, an Allan curve, or an array of evenly
+        spaced samples in rad/s or m/s^2, shape (n,).
     rate_hz, sensor
         Sampling rate, and ``gyroscope`` or ``accelerometer``, of an array.
     curve
@@ -113,7 +117,7 @@ def fit(
     Raises
     ------
     ArgumentError
-        If the source is not a recording, axis, curve or array, or if an option is unknown.
+        If the source is none of these, or if an option is unknown.
     DataError
         If the samples can't be analysed: too few, constant, not finite.
     """
@@ -122,6 +126,9 @@ def fit(
         msg = f"fit: there is no option {unknown[0]!r}; expected one of {known}; {_ONE_AXIS}"
         raise ArgumentError(msg)
     with _refusals():
+        if isinstance(source, str | Path):
+            source = read(source, rate_hz=rate_hz)
+            rate_hz = None
         if isinstance(source, Recording):
             if rate_hz is not None:
                 msg = "a recording has a rate already; omit rate_hz, or give it to imucal.read"
@@ -133,8 +140,6 @@ def fit(
 
 
 def _own_samples(samples: "ArrayLike", rate_hz: float | None, sensor: str) -> AxisSeries:
-    if isinstance(samples, str | Path):
-        raise ArgumentError(f"{samples} is a path; type imucal.fit(imucal.read({str(samples)!r}))")
     try:
         array = np.asarray(samples, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -162,7 +167,7 @@ def _report(report: object) -> Report:
 
 
 def export(
-    report: Report | Calibration | str | Path,
+    report: Report | Calibration | Fleet | str | Path,
     target: str,
     path: str | Path,
     *,
@@ -181,8 +186,8 @@ def export(
     Parameters
     ----------
     report
-        A report, or the path of a report.json or its folder; or a calibration, for formats with bias, scale
-        and misalignment.
+        A report, or the path of a report.json or its folder; a fleet, whose file suits every unit; or a
+        calibration, for formats with bias, scale and misalignment.
     target
         The format, such as ``kalibr`` or ``px4``; ``all`` writes all formats of a report into the folder
         `path`.
@@ -222,7 +227,7 @@ def export(
         )
         if isinstance(report, Calibration):
             return (export_calibration(report, target, Path(path), noise, options),)
-        found = _report(report)
+        found = fleet_as_report(report) if isinstance(report, Fleet) else _report(report)
         if not force:
             refuse_unsound(found, place=found.source.path)
         return export_report(found, target, Path(path), options)
@@ -234,8 +239,9 @@ def check(
     *,
     config: str | Path | None = None,
     baseline: Report | None = None,
+    fleet: Fleet | None = None,
 ) -> CheckResult:
-    """Compare a report with limits, a filter's config file, or both.
+    """Compare a report with limits, with a filter's config file, or with the units of a fleet.
 
     Parameters
     ----------
@@ -247,25 +253,30 @@ def check(
         A filter's config file, whose noise parameters are compared with the report.
     baseline
         An older report, for limits relative to a baseline.
+    fleet
+        Units of the same model.
 
     Raises
     ------
     ArgumentError
-        If neither limits nor a config file are given.
+        If there is nothing to compare with.
     LimitsError
         If the limits or the config can't be read.
     """
     with _refusals():
-        if limits is not None and config is None and (calibrated := _calibration(report)):
+        if limits is not None and config is None and fleet is None and (calibrated := _calibration(report)):
             return check_calibration(calibrated, _limits(limits))
         found = _report(report)
-        if limits is None and config is None:
+        if limits is None and config is None and fleet is None:
             msg = "nothing to check against; type check(report, 'limits.toml'), or give config='imu.yaml'"
             raise ArgumentError(msg)
         result = check_limits(found, _limits(limits), baseline=baseline)
-        if config is None:
-            return result
-        return replace(result, rows=result.rows + check_config(Path(config), found))
+        rows = result.rows
+        if config is not None:
+            rows += check_config(Path(config), found)
+        if fleet is not None:
+            rows += check_fleet(found, fleet)
+        return replace(result, rows=rows)
 
 
 def _calibration(report: object) -> CalibrationDocument | None:

@@ -26,7 +26,7 @@ class Finding:
     axis
         An axis, such as ``gyro_x``; a sensor, such as ``gyro``; or None for the log.
     keep_s
-        Start and end of the good part, in s from the start of the log (for `imucal.screen`: of its
+        Start and end of the good part, in s from the start of the log (for `imucal.pipeline.screen`: of its
         recording); None for all of it.
     fix
         The argument of a function, and its value, that follows the advice; None if there is none.

@@ -83,6 +83,13 @@ class Plan:
     level: float
     axes: tuple[AxisPlan, ...]
 
+    def __repr__(self) -> str:
+        lines = [f"Plan for ±{100 * self.precision:.3g} %: {duration(self.needed_s)}"]
+        for axis in self.axes:
+            needs = ", ".join(f"{need.name} {duration(need.needed_s)}" for need in axis.needs)
+            lines.append(f"{axis.axis or axis.model}: {needs}")
+        return "\n".join(lines)
+
     @property
     def needed_s(self) -> float:
         """The length that is enough for every parameter that is not bounded, in s."""

@@ -59,7 +59,7 @@ class _Stretch:
 def at_rest(recording: Recording) -> Recording:
     """Return the rests of a recording, with gaps between them; a finding lists them.
 
-    `imucal.characterize` fits them together. A rest lasts at least 20 s and begins and ends two seconds away
+    `imucal.fit` fits them together. A rest lasts at least 20 s and begins and ends two seconds away
     from any motion. A rest is not used if it has more noise than the quietest one, for example from a running
     engine, or if the gyroscope turns steadily. At most 48 rests are used, the longest ones.
 

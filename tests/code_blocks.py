@@ -55,14 +55,21 @@ class Kept:
         return True
 
 
-def run_block(language: str, text: str, folder: Path, *, kept: Kept | None = None) -> str:
+def run_block(
+    language: str,
+    text: str,
+    folder: Path,
+    *,
+    kept: Kept | None = None,
+    names: dict[str, object] | None = None,
+) -> str:
     """Run a python block or the `imucal` lines of a console block, or save a toml block; return the output.
 
     Other lines of a console block (``pip install …``) and the `kept` command are not run.
     """
     if language == "python":
         with contextlib.chdir(folder):
-            exec(compile(text, "the block", "exec"), {"__name__": "__main__"})  # noqa: S102 - our own pages
+            exec(compile(text, "the block", "exec"), {} if names is None else names)  # noqa: S102 - our own pages
     elif language == "console":
         printed_text = ""
         for line in re.sub(r"\\\n\s*", " ", text).splitlines():
@@ -77,8 +84,8 @@ def run_block(language: str, text: str, folder: Path, *, kept: Kept | None = Non
 def fill_folder(folder: Path, page: Path) -> None:
     """Create the inputs of a page: the sample logs, a `log.mcap`, and a table without a header, `plain.csv`.
 
-    `calibrate.md` also gets a `ferraris.mcap`: six faces and three full turns. The `log.mcap` has few
-    samples, because no page depends on its fit.
+    `calibrate.md` and `python.md` also get a `ferraris.mcap`: six faces and three full turns. The `log.mcap`
+    has few samples, because no page depends on its fit.
     """
     shutil.copytree(ROOT / "sample_logs", folder / "sample_logs")
     short = ("--duration", "20s") if page.name == "README.md" else ("--rate", "10", "--duration", "6min")
@@ -90,7 +97,7 @@ def fill_folder(folder: Path, page: Path) -> None:
     noise = rng.standard_normal((n, 6)) * [1e-3, 1e-3, 1e-3, 2e-2, 2e-2, 2e-2]
     table = np.column_stack([np.arange(n) / 100.0, gravity + noise])
     np.savetxt(folder / "plain.csv", table, delimiter=",", fmt="%.7g")
-    if page.name == "calibrate.md":
+    if page.name in {"calibrate.md", "python.md"}:
         accel_and_gyro = NoiseModel.parse("N=2e-3"), NoiseModel.parse("N=1.2e-4")
         write_log(ferraris(Truth.draw(rng), accel_and_gyro, rng).recording(), folder / "ferraris.mcap")
     if page.name == "use-in-ci.md":
@@ -108,10 +115,12 @@ def run_page(page: Path, folder: Path, *, kept: Kept | None = None) -> Iterator[
     }
     printed = {"text", "yaml"} if page.name == "README.md" else {"text"}
     output = ""
+    # A block may use what the blocks above it defined.
+    names: dict[str, object] = {"__name__": "__main__"}
     for language, text in code_blocks(page):
         for line in hidden.get(text, ()):
             output += _run_hidden(line, folder)
-        output += run_block(language, text.replace("pip install . && ", ""), folder, kept=kept)
+        output += run_block(language, text.replace("pip install . && ", ""), folder, kept=kept, names=names)
         if language in printed:
             files = "".join(path.read_text(encoding="utf-8") for path in sorted(folder.glob("*.yaml")))
             yield text, output + files

@@ -18,7 +18,9 @@ from lxml import html
 from nbclient import NotebookClient
 
 import imucal
+from imucal.clock import Clock
 from imucal.display import Displayed
+from imucal.recording import Sensor
 from imucal.report.view import views
 from tests.fleet.simulated_store import write_store
 from tests.report.synthetic import consumer_report
@@ -117,8 +119,8 @@ def test_axes_and_terms_are_found_by_their_names() -> None:
 
 
 def test_a_part_only_reports_its_own_gaps() -> None:
-    clock = imucal.Clock.even(1000, 100.0).keeping(np.arange(1000) != 50)
-    series = imucal.AxisSeries(sensor=imucal.Sensor.GYROSCOPE, axis="x", samples=np.ones(999), clock=clock)
+    clock = Clock.even(1000, 100.0).keeping(np.arange(1000) != 50)
+    series = imucal.AxisSeries(sensor=Sensor.GYROSCOPE, axis="x", samples=np.ones(999), clock=clock)
     recording = imucal.Recording(source=consumer_report().source, series=(series,)).between(0.0, np.inf)
     assert [finding.code for finding in recording.findings] == ["gaps"]
     assert recording.skip("1s").findings == ()
@@ -171,7 +173,7 @@ def test_errors_suggest_a_command(call: Callable[[], object], message: str) -> N
 def test_arrays_and_recordings_are_fitted() -> None:
     """An array is an axis, and a recording is characterised."""
     fit = imucal.fit(list(_SAMPLES), rate_hz=100.0, sensor="accelerometer")
-    assert fit.sensor is imucal.Sensor.ACCELEROMETER
+    assert fit.sensor is Sensor.ACCELEROMETER
     assert fit["N"].value == pytest.approx(0.1, rel=0.1)
     recording = _recording()
     one = replace(recording, series=recording.series[:1])

@@ -2,8 +2,10 @@
 
 import importlib
 import pkgutil
+import re
 import subprocess
 import sys
+from pathlib import Path
 from types import ModuleType
 
 import pytest
@@ -22,6 +24,15 @@ def test_every_public_name_exists_and_is_documented(name: str) -> None:
     assert not isinstance(value, ModuleType)
     if name != "__version__":
         assert value.__doc__
+
+
+def test_the_page_has_an_example_of_every_public_name() -> None:
+    """There are few, so that a user can read them all."""
+    page = (Path(__file__).parents[1] / "docs" / "python.md").read_text(encoding="utf-8")
+    examples = "".join(re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL))
+    names = set(imucal.__all__) - {"__version__"}
+    assert names - set(re.findall(r"\bimucal\.(\w+)", examples)) == set()
+    assert len(names) <= 28
 
 
 def test_every_module_has_a_docstring() -> None:

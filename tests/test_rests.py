@@ -9,7 +9,9 @@ import pytest
 
 import imucal
 from imucal.arrays import FloatArray
-from imucal.recording import AXES, AxisSeries, Recording, Source
+from imucal.clock import Clock
+from imucal.errors import DataError
+from imucal.recording import AXES, AxisSeries, Recording, Sensor, Source
 from tests.cli.run import run
 
 RATE = 50.0
@@ -37,8 +39,8 @@ def drive(lengths: Sequence[float], *, seed: int = 1, moving_s: float = 15.0) ->
 
 def recording_of(values: FloatArray) -> Recording:
     """Return a recording of six axes, shape (n, 6), that share a clock."""
-    clock = imucal.Clock.even(len(values), RATE)
-    sensors = [*[imucal.Sensor.GYROSCOPE] * 3, *[imucal.Sensor.ACCELEROMETER] * 3]
+    clock = Clock.even(len(values), RATE)
+    sensors = [*[Sensor.GYROSCOPE] * 3, *[Sensor.ACCELEROMETER] * 3]
     series = tuple(
         AxisSeries(sensor=sensor, axis=axis, samples=column, clock=clock)
         for sensor, axis, column in zip(sensors, AXES * 2, values.T, strict=True)
@@ -160,7 +162,7 @@ def test_a_dead_axis_does_not_hide_rests() -> None:
 
 def test_a_log_without_a_rest_is_rejected() -> None:
     """The error contains the longest rest."""
-    with pytest.raises(imucal.DataError, match=r"^drive\.csv: found no rest of at least 20 s"):
+    with pytest.raises(DataError, match=r"^drive\.csv: found no rest of at least 20 s"):
         imucal.at_rest(drive((10.0, 12.0), moving_s=40.0)[0])
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import numpy.testing as npt
 
-from imucal import avar_from_acvf, avar_from_psd
+from imucal.noise.integrals import avar_from_acvf, avar_from_psd
 from tests.benchmarks import theory_figures as script
 
 DOCS = Path(__file__).parents[1] / "docs"

@@ -57,7 +57,7 @@ def allan_curve(
 
     Source: IEEE Std 952-1997, Annex C; NIST SP 1065 (2008).
     """
-    series = series.finite()
+    series = _axis(series).finite()
     refuse_tiny(series)
     if not series.clock.missing:
         computed, edf_method = "exact", "hybrid"
@@ -78,6 +78,13 @@ def allan_curve(
         computed=computed,
         edf_method=edf_method,
     )
+
+
+def _axis(series: object) -> AxisSeries:
+    if isinstance(series, AxisSeries):
+        return series
+    msg = f"found {type(series).__name__}, expected an axis; type imucal.allan_curve(recording['gyro_x'])"
+    raise ArgumentError(msg)
 
 
 def refuse_tiny(series: AxisSeries) -> None:

@@ -33,6 +33,10 @@ Verdict: TypeAlias = Literal["pass", "fail", "undecided"]
 WORST_FIRST: tuple[Verdict, ...] = ("fail", "undecided", "pass")
 
 
+#: Most rows in a short text.
+_SHOWN = 10
+
+
 @dataclass(frozen=True)
 class Row:
     """One verdict on an axis, a sensor or the ``log``, and what was `found` there.
@@ -81,6 +85,11 @@ class CheckResult:
     undecided_fails: bool
     version: str
     noise: NoiseVerdict
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{self.count(verdict)} {verdict}" for verdict in WORST_FIRST)
+        wrong = [row.text for row in self.rows if row.verdict != "pass"]
+        return "\n".join([f"Check of {self.source}: {counts}", *wrong[:_SHOWN]])
 
     @property
     def verdict(self) -> Verdict:

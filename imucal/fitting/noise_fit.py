@@ -278,7 +278,7 @@ class NoiseFit(Displayed):
     segments
         Changes of the terms within the record; None if not tested.
     bins
-        The binned spectrum for `imucal.log_values`; None if not ``mle`` or read back without it.
+        The binned spectrum for `imucal.fleet.values.log_values`; None if not ``mle`` or read back without it.
     """
 
     method: str

@@ -89,11 +89,11 @@ def log_values(
     model: str = "N + B + K",
     level: float = 0.95,
 ) -> dict[str, LogValue]:
-    """Return the value of each term in one log, for `imucal.population`, from the bins of its fit.
+    """Return the value of each term in one log, for `population`, from the bins of its fit.
 
     `model` must be the same for all logs. Each term except the ramp also has an unbiased estimate of its
     squared coefficient, which may be negative. The fit needs bins (`NoiseFit.bins`): from `imucal.fit` or
-    `imucal.characterize`; a report.json does not contain them.
+    `imucal.fit`; a report.json does not contain them.
 
     Raises a DataError if the fit has no bins, and a ValueError if `model` is not a sum of terms, or if
     `level` is not between 0 and 1.

@@ -28,7 +28,7 @@ from imucal.prediction.propagation import (
     upper_limit,
 )
 from imucal.recording import Sensor
-from imucal.units import G0
+from imucal.units import G0, duration
 
 #: Default durations of dead reckoning, in s.
 TIMES_S = (1.0, 10.0, 60.0, 300.0)
@@ -102,6 +102,15 @@ class Drift:
     level: float
     vertical: str
     quantities: tuple[DriftOf, ...]
+
+    def __repr__(self) -> str:
+        lines = [f"Drift after a rest of {duration(self.rest_s)}, one standard deviation"]
+        for quantity in self.quantities:
+            values = (p.high if p.value is None else p.value for p in quantity.points)
+            times = (duration(point.time_s) for point in quantity.points)
+            pairs = (f"{value:.3g} in {time}" for value, time in zip(values, times, strict=True))
+            lines.append(f"{quantity.name} ({quantity.unit}): {', '.join(pairs)}")
+        return "\n".join(lines)
 
 
 class Characterised(Protocol):

@@ -64,7 +64,7 @@ CURVES = (
     Foreign(
         rb'(?i)\s*"?(taus?|averaging[ _]time)\s*([\[(][^\n,;\t"]*)?"?\s*[,;\t]',
         "a table of Allan deviations",
-        "give the log from which it was computed; in Python, imucal.fit takes an imucal.AllanCurve",
+        "give the log from which it was computed; in Python, imucal.fit takes an imucal.allan.AllanCurve",
     ),
 )
 #: Texts of loggers that imucal could mistake for a table.

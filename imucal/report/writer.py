@@ -45,7 +45,7 @@ def write_report(
     on_finding
         Called with the finding of each picture or page that was left out.
     workers
-        Largest number of pictures drawn in parallel, as in `imucal.characterize`.
+        Largest number of pictures drawn in parallel, as in `imucal.fit`.
 
     Raises
     ------

@@ -172,6 +172,13 @@ class Part:
     note: str = ""
     sensors: Mapping[Sensor, PartSensor]
 
+    def __repr__(self) -> str:
+        lines = [f"{self.manufacturer} {self.name} ({self.kind}; figures: {self.confidence})"]
+        for sensor, own in self.sensors.items():
+            values = ", ".join(f"{symbol} {term.value:.4g}" for symbol, term in own.terms.items())
+            lines.append(f"{sensor} in SI: {values or 'no noise figure'}")
+        return "\n".join(lines)
+
     def term(self, sensor: Sensor, symbol: str) -> TermFigure | None:
         """Return N, B or K of a sensor, or None if the data sheet does not print it."""
         own = self.sensors.get(sensor)

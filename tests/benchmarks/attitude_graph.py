@@ -13,8 +13,9 @@ import numpy as np
 from gtsam.symbol_shorthand import B, V, X
 
 import imucal
-from imucal import NoiseFit, NoiseModel
+from imucal import NoiseModel
 from imucal.arrays import FloatArray
+from imucal.fitting import NoiseFit
 from tests.benchmarks.aided_filter import Aiding, nees
 
 __all__ = ["attitude_nees"]

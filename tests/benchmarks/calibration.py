@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 import imucal
-from imucal import Calibration
 from imucal.arrays import BoolArray, FloatArray
+from imucal.calibration import Calibration
 from imucal.calibration.accelerometer import LOWER, derivatives, fit_accelerometer
 from imucal.calibration.calibrating import calibrate
 from imucal.calibration.frames import FRAMES

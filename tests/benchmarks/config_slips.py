@@ -15,6 +15,7 @@ from pathlib import Path
 import imucal
 from imucal.checking import check_config
 from imucal.checking.verdict import Row
+from imucal.pipeline import characterize
 from imucal.recording import Sensor
 from imucal.report.exports import render
 from imucal.report.result import Report
@@ -46,7 +47,7 @@ def report_of(truth: str, minutes: float, seed: int) -> Report:
         gyroscope=sensor, accelerometer=sensor, rate_hz=RATE_HZ, duration_s=60 * minutes, seed=seed
     )
     gyroscope = tuple(series for series in recording.series if series.sensor is Sensor.GYROSCOPE)
-    return imucal.characterize(replace(recording, series=gyroscope))
+    return characterize(replace(recording, series=gyroscope))
 
 
 def rows_of(text: str, report: Report, file: Path) -> dict[str, Row]:

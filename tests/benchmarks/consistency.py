@@ -33,8 +33,9 @@ from typing import TypeAlias
 import numpy as np
 
 import imucal
-from imucal import AxisSeries, NoiseFit, NoiseModel
+from imucal import AxisSeries, NoiseModel
 from imucal.arrays import FloatArray
+from imucal.fitting import NoiseFit
 from imucal.fitting.noise_fit import Estimate, Interval
 from imucal.prediction import filter_numbers
 from tests.benchmarks.aided_filter import COASTS_S, Aiding, coasting, errors, nees, weights

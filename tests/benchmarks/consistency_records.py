@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 import imucal
-from imucal import NoiseFit, NoiseModel
+from imucal import NoiseModel
+from imucal.fitting import NoiseFit
 
 __all__ = ["LENGTHS", "TRUTHS", "Record", "fits"]
 

@@ -24,6 +24,8 @@ import imucal
 from imucal.clock import Clock
 from imucal.fitting.spectral.blocks import make_blocks
 from imucal.fitting.spectral.disturbances.shapes import exact_places, find_disturbances
+from imucal.pipeline import characterize
+from imucal.report import AxisReport
 
 if TYPE_CHECKING:
     from imucal.fitting.noise_fit import NoiseFit
@@ -146,13 +148,13 @@ INPUTS = {
 }
 
 
-def report(samples: Array, temperature: Array | None = None, rate: float = RATE) -> imucal.AxisReport:
+def report(samples: Array, temperature: Array | None = None, rate: float = RATE) -> AxisReport:
     """Return the default analysis of one axis."""
     clock = Clock.even(samples.size, rate)
     series = AxisSeries(sensor=Sensor.GYROSCOPE, axis="x", samples=samples, clock=clock)
     warm = None if temperature is None else Temperature(samples=temperature, clock=clock)
     recording = Recording(source=Source(path="made", format="made"), series=(series,), temperature=warm)
-    return imucal.characterize(recording).axes[0]
+    return characterize(recording).axes[0]
 
 
 def holds(fit: "NoiseFit", truth: str) -> dict[str, bool]:

@@ -21,7 +21,7 @@ from scipy.special import ndtri
 
 import imucal
 from imucal.fleet.population import Population, population
-from imucal.fleet.values import LogValue
+from imucal.fleet.values import LogValue, log_values
 from tests.fleet.records import RATE, quick_fit
 
 
@@ -64,7 +64,7 @@ def simulate(kind: Kind, seed: Sequence[int]) -> dict[str, list[LogValue]]:
         model = imucal.NoiseModel.parse(" + ".join(f"{key}={value}" for key, value in own.items()))
         for _ in range(kind.logs):
             fit = quick_fit(model.simulate(kind.samples, rate_hz=RATE, rng=rng))
-            for term, value in imucal.log_values(f"u{unit}", fit).items():
+            for term, value in log_values(f"u{unit}", fit).items():
                 found.setdefault(term, []).append(value)
     return found
 

@@ -16,10 +16,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.special import chdtri, ndtri
 
-from imucal import AxisSeries, NoiseModel, allan_curve, avar_from_acvf, avar_from_psd, decompose, fit
+from imucal import AxisSeries, NoiseModel, allan_curve, decompose, fit
 from imucal.allan.intervals import GenericModel, model_edf
 from imucal.allan.variance import variances
 from imucal.arrays import FloatArray
+from imucal.noise.integrals import avar_from_acvf, avar_from_psd
 from imucal.report.figure import render
 from imucal.report.figure_bias import bias_figure
 from imucal.report.figure_style import AXES, DATA, FADED, INK, LABEL_SIZE, MODEL, new_figure, style_axes

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 import imucal
-from imucal import Calibration, calibrate
+from imucal import calibrate
+from imucal.calibration import Calibration
 from imucal.calibration.checks import worse_than_before
 from imucal.errors import DataError
 from imucal.noise import NoiseModel
+from imucal.pipeline import characterize
 from imucal.recording import AXES, Recording, Sensor, Temperature
 from tests.calibration.simulated import FACES, GRAVITY, RATE, Log, Truth, attitudes, held, log, truth_inside
 from tests.real_data import real_data
@@ -230,7 +232,7 @@ def test_a_report_gives_the_noise() -> None:
         for sensor in Sensor
         for axis in AXES
     )
-    report = imucal.characterize(replace(one.recording(), series=series))
+    report = characterize(replace(one.recording(), series=series))
     found = calibrate(one.recording(), noise=report, gravity=GRAVITY)
     assert found.noise["accel"].origin == "report"
     assert found.noise["accel"].ratio == pytest.approx(1.0, abs=0.05)

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import imucal
-from imucal import Calibration, calibrate
+from imucal import calibrate
+from imucal.calibration import Calibration
 from imucal.calibration.noise_source import _model
 from imucal.noise import NoiseModel
 from imucal.recording import AXES, Sensor

@@ -10,7 +10,7 @@ import imucal
 from imucal.calibration.document import Intrinsics
 from imucal.calibration.exports import render_calibration
 from imucal.calibration.intrinsics_files import load_calibration
-from imucal.errors import ChoiceError, ReadError
+from imucal.errors import ChoiceError, DataError, ReadError
 from tests.calibration.test_exports import FOUND
 from tests.raising import raises
 
@@ -110,7 +110,7 @@ def test_a_loaded_calibration_corrects_a_recording(tmp_path: Path) -> None:
     first, second = (imucal.apply(c, recording) for c in (calibration, imucal.load_calibration(file)))
     for one, other in zip(first.series, second.series, strict=True):
         np.testing.assert_array_equal(one.samples, other.samples)
-    with raises(imucal.DataError, "already corrected"):
+    with raises(DataError, "already corrected"):
         imucal.apply(calibration, first)
     again = imucal.calibrate(first)
     assert np.abs(again.accelerometer.b).max() < 1e-4

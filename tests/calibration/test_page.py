@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from imucal import Calibration, calibrate
+from imucal import calibrate
+from imucal.calibration import Calibration
 from imucal.calibration.figures import FIGURES, picture
 from imucal.calibration.page import render_page
 from imucal.calibration.table import rows

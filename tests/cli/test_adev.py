@@ -10,6 +10,7 @@ import numpy.testing as npt
 import pytest
 
 import imucal
+from imucal.allan import spectrum
 from tests.cli.run import SAMPLE_LOGS, run
 
 MEMS = str(SAMPLE_LOGS / "consumer_mems.mcap")
@@ -63,7 +64,7 @@ def test_prints_json_with_the_spectrum(tmp_path: Path) -> None:
     npt.assert_allclose(axis["curve"]["adev"], imucal.allan_curve(series).adev)
     assert axis["spectrum"]["unit"] == "(rad/s)^2/Hz"
     assert axis["spectrum"]["sided"] == "two"
-    npt.assert_allclose(axis["spectrum"]["psd"], imucal.spectrum(series).psd)
+    npt.assert_allclose(axis["spectrum"]["psd"], spectrum(series).psd)
 
 
 def test_a_set_of_times_is_an_option(tmp_path: Path) -> None:

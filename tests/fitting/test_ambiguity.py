@@ -7,10 +7,12 @@ import pytest
 from scipy.fft import idct
 from scipy.stats import chi2, norm
 
-from imucal import AxisSeries, Finding, allan_curve, avar_from_psd, characterize, fit
+from imucal import AxisSeries, allan_curve, fit
 from imucal.arrays import FloatArray
+from imucal.findings import Finding
 from imucal.fitting.cross_checks import _scores
-from imucal.pipeline import Settings
+from imucal.noise.integrals import avar_from_psd
+from imucal.pipeline import Settings, characterize
 from imucal.recording import Recording, Source
 from tests.fitting.fits import simulated
 

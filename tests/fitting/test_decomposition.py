@@ -8,9 +8,11 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from imucal import DataError, Decomposition, NoiseModel, decompose, fit
+from imucal import NoiseModel, decompose, fit
 from imucal.arrays import BoolArray, FloatArray
+from imucal.errors import DataError
 from imucal.fitting import wiener
+from imucal.fitting.decomposition import Decomposition
 from imucal.fitting.wiener import Component, smooth
 from imucal.recording import AxisSeries
 from tests.fitting.state_space import StateSpace

@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 
 import imucal
-from imucal import NoiseFit
 from imucal.arrays import FloatArray
+from imucal.fitting import NoiseFit
 from imucal.fitting.bins import Bins
 from imucal.fitting.spectral.blocks import bin_blocks, bins_of, make_blocks
 from imucal.recording import AxisSeries

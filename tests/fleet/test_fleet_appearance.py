@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 import imucal
+from imucal.fleet.files import write_fleet
 from imucal.fleet.store import RunFile
 from tests.fleet.simulated_store import SETTINGS, asked, write_store
 from tests.report.browser import Browser
@@ -43,7 +44,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     write_store(folder / "two", units=6, models=("ACME-6", LONG), temperatures=(25.0,), names=names)
     write_store(folder / "loose", units=2, labelled=False, models=(LONG,))
     return {
-        name: imucal.write_fleet(imucal.load_fleet(folder / name), pictures=False)[-1]
+        name: write_fleet(imucal.load_fleet(folder / name), pictures=False)[-1]
         for name in ("one", "two", "loose")
     }
 

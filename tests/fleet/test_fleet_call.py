@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 
 import imucal
+from imucal.errors import ReadError, WriteError
+from imucal.fleet.files import write_fleet
 from imucal.fleet.page import render_fleet_page
 from imucal.fleet.plan import as_json
 from imucal.fleet.store import read_store
@@ -137,8 +139,8 @@ def test_an_empty_part_of_a_log_is_no_data(folder: Path) -> None:
             imucal.ImucalError,
             "temperature_c is '.*', expected a number",
         ),
-        ({"logs": "missing/*.bag"}, imucal.ReadError, "no log has this name"),
-        ({"logs": None}, imucal.ReadError, "expected the folder of a fleet"),
+        ({"logs": "missing/*.bag"}, ReadError, "no log has this name"),
+        ({"logs": None}, ReadError, "expected the folder of a fleet"),
         ({"logs": []}, ValueError, r"logs \[\], expected at least one; omit them to continue"),
         ({"logs": [], "folder": "typed"}, ValueError, "expected at least one; omit them"),
         (
@@ -146,7 +148,7 @@ def test_an_empty_part_of_a_log_is_no_data(folder: Path) -> None:
             ValueError,
             r"/typed: contains fits with model N \+ B \+ K, found",
         ),
-        ({"folder": "logs"}, imucal.WriteError, "no imucal fleet; nothing was changed"),
+        ({"folder": "logs"}, WriteError, "no imucal fleet; nothing was changed"),
     ],
 )
 def test_mistakes_are_rejected(
@@ -168,7 +170,7 @@ def test_a_fresh_run_repeats_everything(folder: Path, monkeypatch: pytest.Monkey
     monkeypatch.chdir(folder)
     logs = "logs/beta"
     first = imucal.run_fleet(logs, "anew", labels=LABELS, shard=(1, 1))
-    imucal.write_fleet(first)
+    write_fleet(first)
     again = imucal.run_fleet(logs, "anew", labels=LABELS, shard=(1, 1), fresh=True, model="N")
     assert (first.asked, again.asked) == (1, 1)
     assert read_store("anew").settings["model"] == "N"

@@ -7,17 +7,16 @@ import json
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jsonschema
 import pytest
 from lxml import html
 
 import imucal
-from imucal import Fleet, LogValue
 from imucal.fitting.noise_fit import Interval
 from imucal.fleet import pictures
-from imucal.fleet.files import SCHEMA, fleet_csv, fleet_document
+from imucal.fleet.files import SCHEMA, fleet_csv, fleet_document, write_fleet
 from imucal.fleet.page import (
     alone,
     group_texts,
@@ -29,9 +28,14 @@ from imucal.fleet.page import (
     verdict,
 )
 from imucal.fleet.pictures import drawn_as, fleet_pictures, labelled_ticks, sorted_units, units_figure
-from imucal.fleet.summary import FleetTerm, SensorModel
+from imucal.fleet.population import population
+from imucal.fleet.summary import Fleet, FleetTerm, SensorModel
+from imucal.fleet.values import LogValue
 from imucal.recording import Sensor
 from tests.fleet.simulated_store import write_store
+
+if TYPE_CHECKING:
+    from imucal.findings import Finding
 
 _SCHEMA = json.loads(
     (resources.files("imucal.fleet") / "schema" / "fleet-1.schema.json").read_text(encoding="utf-8")
@@ -75,7 +79,7 @@ def two_groups(small: Fleet) -> SensorModel:
         for unit in range(12)
         for value in [1e-4 * (1.8 if unit >= 8 else 1.0) * (1 + 0.01 * (unit % 4))]
     ]
-    found = imucal.population(logs)
+    found = population(logs)
     model = small.model()
     terms = tuple(replace(t, logs=tuple(logs), population=found) for t in model.terms if t.term in "NB")
     return replace(model, units=tuple(unit.unit for unit in found.units), terms=terms)
@@ -84,7 +88,7 @@ def two_groups(small: Fleet) -> SensorModel:
 @pytest.fixture(scope="module")
 def page(fleet: Fleet, tmp_path_factory: pytest.TempPathFactory) -> html.HtmlElement:
     """Return the page of the fleet with its pictures."""
-    files = imucal.write_fleet(fleet, tmp_path_factory.mktemp("page"), pictures=False)
+    files = write_fleet(fleet, tmp_path_factory.mktemp("page"), pictures=False)
     assert [file.name for file in files] == ["fleet.json", "fleet.csv", "fleet.html"]
     assert json.loads(files[0].read_text(encoding="utf-8")) == json.loads(json.dumps(fleet_document(fleet)))
     return html.fromstring(files[-1].read_text(encoding="utf-8"))
@@ -372,7 +376,7 @@ def test_pictures_of_several_models_have_their_names(small: Fleet) -> None:
 
 
 def test_a_report_has_the_same_bytes_every_time(small: Fleet, tmp_path: Path) -> None:
-    one, other = (imucal.write_fleet(small, tmp_path / name) for name in "ab")
+    one, other = (write_fleet(small, tmp_path / name) for name in "ab")
     assert [file.name for file in one] == ["fleet.json", "fleet.csv", "units-gyro.png", "fleet.html"]
     assert [file.read_bytes() for file in one] == [file.read_bytes() for file in other]
 
@@ -390,8 +394,8 @@ def test_a_failed_picture_does_not_prevent_the_others(
 
     monkeypatch.setattr(pictures, "units_figure", units)
     (tmp_path / "units-gyro.png").write_bytes(b"of yesterday")
-    found: list[imucal.Finding] = []
-    files = imucal.write_fleet(fleet, tmp_path, on_finding=found.append)
+    found: list[Finding] = []
+    files = write_fleet(fleet, tmp_path, on_finding=found.append)
     assert [file.name for file in files] == ["fleet.json", "fleet.csv", "units-accel.png", "fleet.html"]
     assert not (tmp_path / "units-gyro.png").exists()
     assert [(one.code, one.text.split(":")[0]) for one in found] == [
@@ -405,10 +409,10 @@ def test_a_failed_page_is_removed_and_reported(
     small: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All other files are complete."""
-    imucal.write_fleet(small, tmp_path, pictures=False)
+    write_fleet(small, tmp_path, pictures=False)
     monkeypatch.setattr("imucal.fleet.files.render_fleet_page", lambda *_: 1 / 0)
-    found: list[imucal.Finding] = []
-    files = imucal.write_fleet(small, tmp_path, pictures=False, on_finding=found.append)
+    found: list[Finding] = []
+    files = write_fleet(small, tmp_path, pictures=False, on_finding=found.append)
     assert [file.name for file in files] == ["fleet.json", "fleet.csv"]
     assert not (tmp_path / "fleet.html").exists()
     assert [one.text.split(":")[0] for one in found] == ["fleet.html is missing"]

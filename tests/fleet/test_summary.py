@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 
 import imucal
-from imucal import DataError, Fleet, ReadError
-from imucal.errors import ChoiceError, StoreError
+from imucal.errors import ChoiceError, DataError, ReadError, StoreError
 from imucal.fitting.noise_fit import Estimate
+from imucal.fleet.as_report import check_fleet, fleet_as_report
 from imucal.fleet.page import verdict
+from imucal.fleet.population import population
 from imucal.fleet.store import RunFile
-from imucal.fleet.summary import FleetTerm, labels_to_type
+from imucal.fleet.summary import Fleet, FleetTerm, labels_to_type
 from imucal.multiple_tests import holm
 from imucal.report.exports import TARGETS, ExportOptions, render
 from imucal.report.result import Report
@@ -30,7 +31,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Fleet:
 @pytest.fixture(scope="module")
 def median(fleet: Fleet) -> Report:
     """Return the median unit of the fleet."""
-    return imucal.fleet_as_report(fleet, value="median")
+    return fleet_as_report(fleet, value="median")
 
 
 def with_estimate(report: Report, key: str, change: Callable[[Estimate], Estimate]) -> Report:
@@ -77,7 +78,7 @@ def test_tests_are_adjusted_for_all_units_and_terms(fleet: Fleet) -> None:
 
 def test_the_bound_without_odd_units_is_that_of_the_others(fleet: Fleet) -> None:
     term = fleet.model()["gyro_z", "N"]
-    others = imucal.population([log for log in term.logs if log.unit != "u07"])
+    others = population([log for log in term.logs if log.unit != "u07"])
     assert term.without_odd == others.tolerance
     assert (term.without_odd or math.inf) < 0.8 * (term.population.tolerance or 0.0)
     assert fleet.model()["gyro_x", "K"].without_odd is None
@@ -155,7 +156,7 @@ def test_a_model_is_selected_by_name(fleet: Fleet) -> None:
     """The error for an unknown name lists the models, and so does that for a missing name."""
     assert fleet.model("ACME-6") is fleet.model()
     with raises(ChoiceError, "'BOLT-9'", place="fleet", argument="model"):
-        imucal.fleet_as_report(fleet, "BOLT-9")
+        fleet_as_report(fleet, "BOLT-9")
     both = replace(fleet, models=(fleet.model(), replace(fleet.model(), name="BOLT-9")))
     with raises(ChoiceError, "'ACME-6', 'BOLT-9'", place="fleet", argument="model"):
         both.model()
@@ -171,16 +172,16 @@ def test_two_units_have_neither_spread_nor_bound(tmp_path: Path) -> None:
     assert few == "ACME-6: too few units for a spread or a bound"
     assert changing == "u00 (gyro_x N); u01 (gyro_x N)."
     with pytest.raises(DataError, match=r"2 units, .* a tolerance bound"):
-        imucal.fleet_as_report(fleet)
-    report = imucal.fleet_as_report(fleet, value="median")
+        fleet_as_report(fleet)
+    report = fleet_as_report(fleet, value="median")
     assert report.axes[0].fit["N"].value == found.median.value
     with pytest.raises(DataError, match=r"2 units of ACME-6, .* to predict"):
-        imucal.check_fleet(report, fleet)
+        check_fleet(report, fleet)
 
 
 def test_exports_contain_the_tolerance_bound(fleet: Fleet) -> None:
     """A comment explains its origin, and every format can be written."""
-    report = imucal.fleet_as_report(fleet)
+    report = fleet_as_report(fleet)
     text = render(report, "kalibr", ExportOptions(numbers="as-fitted"))
     worst = max(fleet.model()[f"gyro_{a}", "N"].population.tolerance or 0.0 for a in "xyz")
     assert f"gyroscope_noise_density: {worst:.8g}" in text
@@ -189,7 +190,7 @@ def test_exports_contain_the_tolerance_bound(fleet: Fleet) -> None:
     for target in TARGETS:
         assert "written by imucal" in render(report, target)
     with pytest.raises(ValueError, match="is not one of tolerance, median"):
-        imucal.fleet_as_report(fleet, value="mean")  # type: ignore[arg-type]
+        fleet_as_report(fleet, value="mean")  # type: ignore[arg-type]
 
 
 def test_an_undetected_term_is_a_bound_in_exports(tmp_path: Path) -> None:
@@ -202,9 +203,9 @@ def test_an_undetected_term_is_a_bound_in_exports(tmp_path: Path) -> None:
     found = fleet.model()["gyro_y", "K"].population
     assert found.bounded
     assert [unit.p_logs for unit in found.units] == [None] * 4
-    estimate = imucal.fleet_as_report(fleet, value="median")["gyro_y"]["K"]
+    estimate = fleet_as_report(fleet, value="median")["gyro_y"]["K"]
     assert (estimate.status, estimate.high) == ("bounded", found.median.high)
-    assert imucal.fleet_as_report(fleet)["gyro_y"]["K"].value == found.tolerance
+    assert fleet_as_report(fleet)["gyro_y"]["K"].value == found.tolerance
 
 
 def test_gauss_markov_terms_are_exported_with_the_time_of_the_median_log(tmp_path: Path) -> None:
@@ -214,7 +215,7 @@ def test_gauss_markov_terms_are_exported_with_the_time_of_the_median_log(tmp_pat
         names=("gyro_x", "gyro_y"),
     )  # fmt: skip
     fleet = imucal.load_fleet(tmp_path)
-    report = imucal.fleet_as_report(fleet)
+    report = fleet_as_report(fleet)
     found = report["gyro_x"]["GM"]
     assert found.value == fleet.model()["gyro_x", "GM"].population.tolerance
     assert found.correlation_time is not None
@@ -228,18 +229,18 @@ def test_gauss_markov_terms_are_exported_with_the_time_of_the_median_log(tmp_pat
 
 def test_a_typical_unit_passes_and_a_noisy_unit_fails(fleet: Fleet, median: Report) -> None:
     """The text contains the range of the next unit."""
-    rows = imucal.check_fleet(median, fleet)
+    rows = check_fleet(median, fleet)
     assert [row.verdict for row in rows] == ["pass"] * 18
     swapped = replace(median, axes=(median["gyro_y"], *median.axes[2:]))
     wrong = with_estimate(
         swapped, "N", lambda e: replace(e, value=2 * (e.value or 0), low=2 * e.low, high=2 * e.high)
     )
-    failed = [row for row in imucal.check_fleet(wrong, fleet) if row.verdict == "fail"]
+    failed = [row for row in check_fleet(wrong, fleet) if row.verdict == "fail"]
     assert [(row.where, row.subject[:4]) for row in failed] == [("gyro_y", "N in")]
     assert "unlike the units of the fleet" in failed[0].text
     assert "the next unit of ACME-6 is in [" in failed[0].text
     with pytest.raises(DataError, match="no axis and term in common with ACME-6"):
-        imucal.check_fleet(replace(median, axes=()), fleet)
+        check_fleet(replace(median, axes=()), fleet)
 
 
 def test_an_interval_beyond_the_range_is_undecided(fleet: Fleet, median: Report) -> None:
@@ -256,7 +257,7 @@ def test_an_interval_beyond_the_range_is_undecided(fleet: Fleet, median: Report)
                 replace(e, value=value, low=least, high=most) if value else Estimate.bounded("N", "N", most)
             ),
         )
-        (row,) = [row for row in imucal.check_fleet(one, fleet) if row.subject.startswith("N ")]
+        (row,) = [row for row in check_fleet(one, fleet) if row.subject.startswith("N ")]
         assert row.text.endswith("record for longer to decide") == (row.verdict == "undecided")
         return row.verdict
 
@@ -274,10 +275,10 @@ def test_a_term_of_few_units_is_undecided(fleet: Fleet, median: Report) -> None:
         if term.name != "accel_x":
             return term
         logs = tuple(log for log in term.logs if log.unit in {"u01", "u02"})
-        return replace(term, logs=logs, population=imucal.population(logs))
+        return replace(term, logs=logs, population=population(logs))
 
     few = replace(fleet, models=(replace(model, terms=tuple(map(of_two, model.terms))),))
-    rows = imucal.check_fleet(median, few)
+    rows = check_fleet(median, few)
     assert [row.verdict for row in rows if row.where == "accel_x"] == ["undecided"] * 3
     assert {row.verdict for row in rows if row.where != "accel_x"} == {"pass"}
     text = next(row.text for row in rows if row.where == "accel_x" and row.subject == "N")

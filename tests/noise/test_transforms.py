@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imucal import avar_from_acvf, avar_from_psd
 from imucal.arrays import FloatArray
+from imucal.noise.integrals import avar_from_acvf, avar_from_psd
 from imucal.noise.model import NoiseModel
 from imucal.noise.term import NoiseTerm
 from imucal.noise.terms import GaussMarkov

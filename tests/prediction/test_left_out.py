@@ -13,6 +13,7 @@ import imucal
 from imucal.arrays import FloatArray
 from imucal.fitting.noise_fit import NoiseFit
 from imucal.noise.model import NoiseModel
+from imucal.prediction import filter_numbers
 from imucal.prediction.left_out import LeftOut, causes, left_out, left_out_of_model
 
 #: Returns a number of samples of a disturbance.
@@ -96,7 +97,7 @@ def test_clean_records_leave_out_nothing(text: str) -> None:
             60_000, rate_hz=RATE_HZ, rng=np.random.default_rng([5703, seed])
         )
         fit = fitted(samples)
-        pair = imucal.filter_numbers([fit])
+        pair = filter_numbers([fit])
         assert left_out_of_model(fit, fit.model.terms) is None
         assert left_out(fit, white_of(pair.white), pair.slow_avar) is None
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import imucal
+from imucal.pipeline import Settings, characterize
 from imucal.readers import checksums, read
 from imucal.readers.checksums import checksums_of
 from imucal.recording import LogFileInfo, Recording
@@ -114,8 +115,8 @@ def test_a_report_lists_the_files_read(tmp_path: Path) -> None:
 def test_the_range_of_a_recording_is_reported(tmp_path: Path) -> None:
     """Cases: the complete recording, a part of a part, and a recording without stamps."""
     recording = read(write_mcap(tmp_path / "log.mcap", imu_messages(samples(3000))))
-    settings = imucal.Settings(model="N", segments=1)
-    report = imucal.characterize(recording, settings)
+    settings = Settings(model="N", segments=1)
+    report = characterize(recording, settings)
     assert report.source.read is not None
     assert (report.source.read.from_s, report.source.read.start_ns) == (0.0, START)
     assert report.source.read.duration_s == pytest.approx(30)

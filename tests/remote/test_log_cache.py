@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import pytest
 
 import imucal
+from imucal.errors import ReadError
 from imucal.remote import RemoteLog
 from imucal.remote.copies import cache_folder, cache_size, fetched
 from imucal.remote.stores import identify
@@ -229,7 +230,7 @@ def test_a_full_disk_is_reported_before_the_download(
     message = (
         r"no space for a remote log of 0\.00041 GB: 0\.0171 GB are free; free some space, or set IMUCAL_CACHE"
     )
-    with pytest.raises(imucal.ReadError, match=message) as error:
+    with pytest.raises(ReadError, match=message) as error:
         imucal.read(url)
     assert error.value.exit_code == 3
 
@@ -241,7 +242,7 @@ def test_a_disk_that_fills_during_the_download_is_reported(web: WebServer, cache
         "resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))\n"
         "import imucal, sys\n"
         "try: imucal.read(sys.argv[1])\n"
-        "except imucal.ReadError as error: print(error)\n"
+        "except ReadError as error: print(error)\n"
     )
     url = web.add("/a", BODY)
     out, err = start(f"{url}?sig=SECRET", limited).communicate(timeout=60)
@@ -274,5 +275,5 @@ def test_the_environment_sets_folder_and_size_of_the_cache(
     message = (
         "file: the cache of remote logs can't be used: File exists; set IMUCAL_CACHE to a folder that you own"
     )
-    with pytest.raises(imucal.ReadError, match=message):
+    with pytest.raises(ReadError, match=message):
         cache_folder()

@@ -11,6 +11,7 @@ import numpy.testing as npt
 import pytest
 
 import imucal
+from imucal.errors import ReadError
 from imucal.readers import describe, logs_of
 from imucal.readers.containers.rosbag2_folder import ENDINGS
 from imucal.readers.formats import FORMATS
@@ -90,9 +91,7 @@ def test_parts_of_one_recording_are_joined(bucket: Any, tmp_path: Path) -> None:
         npt.assert_array_equal(joined.series[0].samples, recording.between(0, 120).series[0].samples)
         assert joined.source.path == "s3://logs/split/a_9.mcap, s3://logs/split/a_10.mcap"
     bucket.copy("logs/split/a_9.mcap", "logs/split/b_9.mcap")
-    with raises(
-        imucal.ReadError, "3 logs do not look like one", place="s3://logs/split/a_9.mcap", argument="join"
-    ):
+    with raises(ReadError, "3 logs do not look like one", place="s3://logs/split/a_9.mcap", argument="join"):
         imucal.read("s3://logs/split")
 
 
@@ -100,7 +99,7 @@ def test_a_name_may_contain_wildcard_characters(bucket: Any) -> None:  # noqa: A
     """A pattern without matches is used as a name."""
     bucket.pipe_file("logs/run[1].csv", b"t,gx\n")
     assert expand("s3://logs/run[1].csv") == ["s3://logs/run[1].csv"]
-    with raises(imucal.ReadError, "no log has this name", place="s3://logs/run[2].csv"):
+    with raises(ReadError, "no log has this name", place="s3://logs/run[2].csv"):
         expand("s3://logs/run[2].csv")
 
 
@@ -114,7 +113,7 @@ def test_a_name_may_contain_wildcard_characters(bucket: Any) -> None:  # noqa: A
 )
 def test_a_missing_object_bucket_or_log_is_reported(bucket: Any, url: str, message: str) -> None:  # noqa: ANN401
     bucket.pipe_file("logs/notes/a.md", b"dear")
-    with pytest.raises(imucal.ReadError, match=re.escape(f"{url}: {message}")) as error:
+    with pytest.raises(ReadError, match=re.escape(f"{url}: {message}")) as error:
         imucal.read(url)
     assert error.value.exit_code == 3
 
@@ -130,7 +129,7 @@ def test_missing_credentials_are_reported_with_a_solution(
     monkeypatch.delenv("AWS_SECRET_ACCESS_KEY")
     bucket.clear_instance_cache()
     message = "s3://logs/a.csv: no credentials, or wrong ones; set AWS_PROFILE, or AWS_ACCESS_KEY_ID"
-    with pytest.raises(imucal.ReadError, match=re.escape(message)):
+    with pytest.raises(ReadError, match=re.escape(message)):
         imucal.read("s3://logs/a.csv")
     conf: dict[str, dict[str, object]] = {}
     # fsspec reads the variable only when it is loaded, which is already done.
@@ -149,12 +148,12 @@ def test_denied_access_and_unreachable_servers_are_reported(
     """A request with status 403 is not repeated; one without an answer is."""
     monkeypatch.setenv("AWS_ENDPOINT_URL", web.url)
     bucket.clear_instance_cache()
-    with raises(imucal.ReadError, r"access is denied \(403\)", place="s3://logs/a.csv"):
+    with raises(ReadError, r"access is denied \(403\)", place="s3://logs/a.csv"):
         imucal.read("s3://logs/a.csv")
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:1")
     bucket.clear_instance_cache()
     monkeypatch.setattr(stores, "WAITS", (0.0,))
-    with raises(imucal.ReadError, r"\(2 attempts\)", place="s3://logs/a.csv"):
+    with raises(ReadError, r"\(2 attempts\)", place="s3://logs/a.csv"):
         imucal.read("s3://logs/a.csv")
     bucket.clear_instance_cache()
 
@@ -167,7 +166,7 @@ def test_a_missing_extra_is_reported_with_the_install_command(
     find = importlib.util.find_spec
     package = PACKAGES[scheme]
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == package else find(name))
-    with pytest.raises(imucal.ReadError) as error:
+    with pytest.raises(ReadError) as error:
         imucal.read(f"{scheme}://bucket/log.mcap")
     match = re.fullmatch(
         rf"{scheme}://bucket/log\.mcap: needs another package; type: pip install '(.*)\[(.*)\]'",

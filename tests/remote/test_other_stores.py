@@ -2,7 +2,7 @@
 
 import pytest
 
-from imucal import ReadError
+from imucal.errors import ReadError
 from imucal.remote.copies import fetched
 from imucal.remote.stores import expand, identify
 from tests.remote.cloud_servers import cloud_server

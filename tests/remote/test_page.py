@@ -14,6 +14,7 @@ import fsspec
 import pytest
 
 import imucal
+from imucal.errors import ReadError
 from imucal.simulation import write_log
 from tests.cli.run import SAMPLE_LOGS, run
 from tests.code_blocks import code_blocks
@@ -158,7 +159,7 @@ def test_each_message_of_the_page_occurs(
     (case,) = [case for start, case in CASES.items() if message.startswith(start)]
     url = case(web, monkeypatch)
     secret = "?sig=SECRET" if url.startswith("http") else ""
-    with pytest.raises(imucal.ReadError) as error:
+    with pytest.raises(ReadError) as error:
         imucal.read(url + secret)
     assert contains(message, str(error.value)), str(error.value)
     assert error.value.exit_code == 3

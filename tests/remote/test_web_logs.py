@@ -11,6 +11,7 @@ import numpy.testing as npt
 import pytest
 
 import imucal
+from imucal.errors import ReadError
 from imucal.readers import describe
 from imucal.remote import stores
 from imucal.remote.copies import LocalCopy, fetched
@@ -123,7 +124,7 @@ def test_a_server_without_ranges_is_asked_once_for_a_small_log(web: WebServer) -
 def test_too_many_broken_connections_are_an_error(web: WebServer, cache: Path, *, ranges: bool) -> None:
     """The limit is four attempts for a part; no incomplete file is left."""
     url = web.add("/log.csv", TABLE, ranges=ranges, cuts=[1000] * 9)
-    with raises(imucal.ReadError, r"the connection ended early \(4 attempts\); try again later", place=url):
+    with raises(ReadError, r"the connection ended early \(4 attempts\); try again later", place=url):
         imucal.read(f"{url}?sig=SECRET")
     assert len(web.parts) == 4
     assert list(cache.iterdir()) == []
@@ -142,7 +143,7 @@ def test_an_object_that_changes_during_download_is_refused(web: WebServer, cache
 
     url = web.add("/log.csv", TABLE, cuts=Changing([20_000]))
     message = "it changed during the download; wait until it is complete, and run the command again"
-    with raises(imucal.ReadError, message, place=url):
+    with raises(ReadError, message, place=url):
         imucal.read(f"{url}?sig=SECRET", **OPTIONS)
     assert kept(cache) == []
     with get(url) as copy:
@@ -153,7 +154,7 @@ def test_an_object_that_changes_during_download_is_refused(web: WebServer, cache
 @pytest.mark.parametrize("shorter", [1, 30_000])
 def test_an_object_that_is_shorter_than_stated_is_refused(web: WebServer, cache: Path, shorter: int) -> None:
     url = web.add("/log.csv", TABLE, head=len(TABLE) + shorter)
-    with raises(imucal.ReadError, "it changed during the download", place=url):
+    with raises(ReadError, "it changed during the download", place=url):
         imucal.read(url, **OPTIONS)
     assert kept(cache) == []
 
@@ -179,9 +180,9 @@ def test_a_compressed_log_is_not_unpacked_by_the_transfer(web: WebServer) -> Non
 def test_a_failure_of_the_second_log_names_its_url(web: WebServer) -> None:
     """The first log is complete."""
     first, damaged = web.add("/a_1.csv", TABLE), web.add("/a_2.csv", b"Dear diary,\n")
-    with raises(imucal.ReadError, r"there is no such object \(404\)", place=f"{web.url}/none.csv"):
+    with raises(ReadError, r"there is no such object \(404\)", place=f"{web.url}/none.csv"):
         imucal.read(f"{first}?sig=SECRET", f"{web.url}/none.csv?sig=SECRET")
-    with raises(imucal.ReadError, "found no rows of numbers", place=damaged) as error:
+    with raises(ReadError, "found no rows of numbers", place=damaged) as error:
         imucal.read(f"{first}?sig=SECRET", f"{damaged}?sig=SECRET", **OPTIONS)
     assert "SECRET" not in str(error.value)
 
@@ -192,7 +193,7 @@ def test_requests_to_busy_servers_are_repeated(web: WebServer) -> None:
     assert imucal.read(url, **OPTIONS).series[0].n == 2000
     web.add("/log.csv", TABLE, etag='"two"', statuses=[503] * 4)
     message = f"{url}: the server answers 503 (Service Unavailable) (4 attempts); try again later"
-    with pytest.raises(imucal.ReadError, match=re.escape(message)):
+    with pytest.raises(ReadError, match=re.escape(message)):
         imucal.read(url)
 
 
@@ -209,7 +210,7 @@ def test_requests_to_busy_servers_are_repeated(web: WebServer) -> None:
 def test_refused_requests_are_not_repeated(web: WebServer, code: int, message: str) -> None:
     """The error does not contain the query."""
     url = web.add("/log.csv", TABLE, statuses=[code])
-    with raises(imucal.ReadError, re.escape(message), place=url):
+    with raises(ReadError, re.escape(message), place=url):
         imucal.read(f"{url}?sig=SECRET")
     assert len(web.asked) == 1
 
@@ -220,7 +221,7 @@ def test_a_server_without_an_answer_is_an_error_after_the_timeout(
     """The timeout is IMUCAL_REMOTE_TIMEOUT."""
     url = web.add("/log.csv", TABLE, delay_s=0.5)
     monkeypatch.setenv("IMUCAL_REMOTE_TIMEOUT", "0.05")
-    with raises(imucal.ReadError, r"within 0\.05 s \(4 attempts\)", place="log.csv"):
+    with raises(ReadError, r"within 0\.05 s \(4 attempts\)", place="log.csv"):
         imucal.read(url)
     monkeypatch.setenv("IMUCAL_REMOTE_TIMEOUT", "soon")
     with pytest.raises(imucal.ImucalError, match="IMUCAL_REMOTE_TIMEOUT: found 'soon'") as error:
@@ -231,14 +232,14 @@ def test_a_server_without_an_answer_is_an_error_after_the_timeout(
 def test_an_unreachable_server_is_an_error(web: WebServer, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cases: a closed port, and an unknown host."""
     url = web.url
-    with raises(imucal.ReadError, "the connection failed: ", place="http://127.0.0.1:1/log.csv"):
+    with raises(ReadError, "the connection failed: ", place="http://127.0.0.1:1/log.csv"):
         imucal.read("http://127.0.0.1:1/log.csv")
 
     def unknown(*_: object, **__: object) -> None:
         raise socket.gaierror(-2, "Name or service not known")
 
     monkeypatch.setattr(socket, "getaddrinfo", unknown)
-    with raises(imucal.ReadError, "host not found: no network", place="http://host/log.csv"):
+    with raises(ReadError, "host not found: no network", place="http://host/log.csv"):
         imucal.read("http://host/log.csv?sig=SECRET")
     assert url
 
@@ -248,9 +249,9 @@ def test_a_web_page_instead_of_a_log_is_refused(web: WebServer, cache: Path, sta
     """A login page has status code 200."""
     url = web.add("/log.mcap", start + b" " * 9000, kind="text/html; charset=utf-8")
     message = "log.mcap: the answer is a web page, perhaps for login, not a log; expected the address"
-    with pytest.raises(imucal.ReadError, match=re.escape(message)):
+    with pytest.raises(ReadError, match=re.escape(message)):
         imucal.read(url)
-    with pytest.raises(imucal.ReadError, match=re.escape(message)):
+    with pytest.raises(ReadError, match=re.escape(message)):
         describe(url)
     assert kept(cache) == []
 
@@ -258,7 +259,7 @@ def test_a_web_page_instead_of_a_log_is_refused(web: WebServer, cache: Path, sta
 def test_an_empty_remote_file_is_refused(web: WebServer) -> None:
     """The error equals that for a local file, although servers refuse a range of an empty file."""
     url = web.add("/log.csv", b"")
-    with raises(imucal.ReadError, "the file is empty", place="log.csv"):
+    with raises(ReadError, "the file is empty", place="log.csv"):
         imucal.read(url)
 
 
@@ -286,7 +287,7 @@ def test_endless_and_foreign_redirects_are_refused(web: WebServer, target: str) 
         f"{url}: the server redirects without end, or to an address outside the web; "
         "use the address of the file itself"
     )
-    with pytest.raises(imucal.ReadError, match=f"^{re.escape(message)}$") as error:
+    with pytest.raises(ReadError, match=f"^{re.escape(message)}$") as error:
         imucal.read(f"{url}?sig=SECRET")
     assert error.value.exit_code == 3
 
@@ -297,7 +298,7 @@ def test_credentials_come_from_the_url_or_netrc(web: WebServer, tmp_path: Path) 
     host = web.url.removeprefix("http://")
     source = imucal.read(f"http://me:a%40b@{host}/log.csv", **OPTIONS, checksums=True).source
     assert source.path == source.files[0].path == f"http://{host}/log.csv"
-    with raises(imucal.ReadError, r"\(401\)", place="log.csv"):
+    with raises(ReadError, r"\(401\)", place="log.csv"):
         imucal.read(f"{web.url}/log.csv")
     (tmp_path / ".netrc").write_text("machine 127.0.0.1 login me password a@b\n", encoding="utf-8")
     (tmp_path / ".netrc").chmod(0o600)
@@ -350,13 +351,13 @@ def test_urls_can_contain_spaces_and_umlauts(web: WebServer) -> None:
 )
 def test_unsupported_schemes_are_refused(url: str, message: str) -> None:
     """The error lists the supported schemes."""
-    with pytest.raises(imucal.ReadError, match=re.escape(message)):
+    with pytest.raises(ReadError, match=re.escape(message)):
         imucal.read(url)
 
 
 def test_a_url_as_a_path_object_is_refused() -> None:
     """A Path removes one of the two slashes."""
-    with raises(imucal.ReadError, "a URL that was a Path", place="https://host/log.csv"):
+    with raises(ReadError, "a URL that was a Path", place="https://host/log.csv"):
         imucal.read(Path("https://host/log.csv?sig=SECRET"))
 
 
@@ -369,15 +370,15 @@ def test_wildcards_of_a_web_server_use_its_folder_listing(web: WebServer) -> Non
     web.add("/logs/", PAGE, kind="text/html")
     assert expand(f"{web.url}/logs/a_*.csv") == [f"{web.url}/logs/a_10.csv", f"{web.url}/logs/a_2.csv?sig=1"]
     assert expand(f"{web.url}/logs/") == [f"{web.url}/logs/"]
-    with raises(imucal.ReadError, "no log has this name", place="logs/b*.csv"):
+    with raises(ReadError, "no log has this name", place="logs/b*.csv"):
         expand(f"{web.url}/logs/b*.csv")
-    with raises(imucal.ReadError, r"\* in its last part only", place="/*/a.csv"):
+    with raises(ReadError, r"\* in its last part only", place="/*/a.csv"):
         expand(f"{web.url}/*/a.csv")
     for folder in ("/logs/?sig=SECRET", "/logs/a_*.csv?sig=SECRET"):
-        with raises(imucal.ReadError, "with a query; expected", place=folder.partition("?")[0]):
+        with raises(ReadError, "with a query; expected", place=folder.partition("?")[0]):
             expand(web.url + folder)
     web.add("/none/", b"<a href='notes.md'>c</a>", kind="text/html")
-    with raises(imucal.ReadError, r"a folder with notes\.md", place="none/"):
+    with raises(ReadError, r"a folder with notes\.md", place="none/"):
         imucal.read(f"{web.url}/none/")
 
 
@@ -387,7 +388,7 @@ def test_a_file_of_unknown_length_stops_at_the_size_of_the_cache(
     """A server could send bytes until the disk is full."""
     url = web.add("/log.csv", TABLE, length=False, ranges=False)
     monkeypatch.setenv("IMUCAL_CACHE_SIZE", "10k")
-    with raises(imucal.ReadError, r"the cache, 1\.02e-05 GB", place="log.csv"):
+    with raises(ReadError, r"the cache, 1\.02e-05 GB", place="log.csv"):
         imucal.read(url, **OPTIONS)
     assert kept(cache) == []
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 import imucal
+from imucal.prediction import filter_numbers
 from imucal.recording import Sensor
 from imucal.report.exports import TARGETS, ExportOptions, export, render
 from imucal.report.given import model_as_report
@@ -38,7 +39,7 @@ def test_as_fitted_exports_contain_the_numbers_of_the_data_sheet(target: str, tm
 @pytest.mark.parametrize("target", [name for name, each in TARGETS.items() if each.covers])
 def test_a_data_sheet_without_a_walk_gives_white_noise_and_walk(target: str) -> None:
     """Most data sheets contain only white noise and flicker."""
-    text = render(imucal.model_as_report({GYRO: "N=0.3deg/sqrt(h) + B=5deg/h"}, rate_hz=200.0), target)
+    text = render(model_as_report({GYRO: "N=0.3deg/sqrt(h) + B=5deg/h"}, rate_hz=200.0), target)
     assert "N=0.3deg/sqrt(h) + B=5deg/h (gyroscope) (a model as given, no log" in text
     assert "f = 200 Hz (given by the user), nothing recorded" in text
     assert "not detected" not in text
@@ -48,7 +49,7 @@ def test_a_data_sheet_without_a_walk_gives_white_noise_and_walk(target: str) -> 
 def test_the_pair_covers_the_flicker_of_the_data_sheet() -> None:
     """Without a walk, N K >= B²/2 covers flicker at the frequency where the two curves touch."""
     report = model_as_report({GYRO: "N=1e-4 + B=2e-5"}, rate_hz=200.0)
-    pair = imucal.filter_numbers([axis.fit for axis in report.axes])
+    pair = filter_numbers([axis.fit for axis in report.axes])
     assert pair.white**2 > 1e-8
     assert (pair.white**2 - 1e-8) * pair.walk**2 == pytest.approx((2e-5**2 / 2) ** 2, rel=0.02)
 

@@ -15,6 +15,7 @@ import pytest
 import imucal
 from imucal.errors import Fix, ReadError
 from imucal.findings import Finding
+from imucal.pipeline import Settings, characterize
 from imucal.recording import LogFileInfo, Source
 from imucal.report.json_file import axis_document, from_document, load, schema, signal_document, to_document
 from imucal.report.result import Report
@@ -97,8 +98,8 @@ def _fitted_report() -> Report:
     series = imucal.AxisSeries.from_samples(samples, rate_hz=50.0)
     file = LogFileInfo(path="s3://bucket/log.csv", size_bytes=5, blake2b="ab" * 64, etag="cd")
     source = Source(path="log.csv", format="csv", files=(file,))
-    settings = imucal.Settings(model="N + K")
-    return imucal.characterize(imucal.Recording(source=source, series=(series,)), settings)
+    settings = Settings(model="N + K")
+    return characterize(imucal.Recording(source=source, series=(series,)), settings)
 
 
 def _report_with_fix() -> Report:

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import imucal
 from imucal.arrays import FloatArray
 from imucal.errors import Fix
+from imucal.pipeline import Settings, characterize
 from imucal.recording import AXES, AxisSeries, Recording, Sensor, Source
 from imucal.sensors import find_sensor
 from imucal.sheet_comparison import compared_with_sheet, sheet_ratios
@@ -60,7 +60,7 @@ ALLOWED = {("BMI270", Sensor.ACCELEROMETER): (0.45, 1.5)}
 def test_white_noise_is_near_the_data_sheet(name: str) -> None:
     """No finding, and no wrong unit: the figures describe real units."""
     recording, part = RECORDS[name](), find_sensor(name)
-    report = imucal.characterize(recording, imucal.Settings(model="N + B"))
+    report = characterize(recording, Settings(model="N + B"))
     found = compared_with_sheet(report, recording, part)
     codes = {finding.code for finding in found.all_findings}
     assert not codes & {"unit-of-sensor", "above-data-sheet"}
@@ -79,7 +79,7 @@ def test_a_wrong_unit_is_named() -> None:
         for each in recording.series
     )
     wrong = replace(recording, series=series)
-    report = imucal.characterize(wrong, imucal.Settings(model="N", method="slope"))
+    report = characterize(wrong, Settings(model="N", method="slope"))
     found = compared_with_sheet(report, wrong, part)
     (finding,) = [f for f in found.all_findings if f.code == "unit-of-sensor"]
     assert (finding.axis, finding.fix) == ("gyro", Fix("", "gyro_unit", "deg/s"))

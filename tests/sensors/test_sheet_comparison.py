@@ -11,9 +11,11 @@ from imucal.arrays import FloatArray
 from imucal.errors import ArgumentError, DataError, Fix
 from imucal.findings import Finding
 from imucal.noise.model import NoiseModel
+from imucal.pipeline import Settings, characterize
 from imucal.recording import AXES, AxisSeries, Recording, Sensor, Source
 from imucal.report import Report
 from imucal.report.figure import axis_figure
+from imucal.report.given import part_as_report
 from imucal.sensors import find_sensor
 from imucal.sheet_comparison import compared_with_sheet, sheet_ratios
 from imucal.units import G0
@@ -167,16 +169,16 @@ def test_the_picture_has_a_line_of_the_data_sheet() -> None:
 
 def test_a_data_sheet_as_a_report() -> None:
     """For `imucal.compare` and `imucal.export`; its numbers are those of the sheet."""
-    sheet = imucal.part_as_report(find_sensor("ADIS16448"), rate_hz=200.0)
+    sheet = part_as_report(find_sensor("ADIS16448"), rate_hz=200.0)
     assert [axis.name for axis in sheet.axes][:3] == ["gyro_x", "gyro_y", "gyro_z"]
     white = sheet["gyro_x"]["N"]
     assert (white.value, white.origin) == (0.00019199, "from the data sheet, not measured")
     compared = imucal.compare(consumer_report(), sheet)
     assert {difference.key for difference in compared.differences if difference.p is not None} >= {"N", "B"}
     with pytest.raises(DataError, match="prints no N"):
-        imucal.part_as_report(find_sensor("M-G365"), rate_hz=200.0)
+        part_as_report(find_sensor("M-G365"), rate_hz=200.0)
     with pytest.raises(ArgumentError, match="rate_hz"):
-        imucal.part_as_report(find_sensor("ADIS16448"))  # type: ignore[call-arg]
+        part_as_report(find_sensor("ADIS16448"))  # type: ignore[call-arg]
 
 
 def test_a_fit_of_simulated_noise_of_the_part() -> None:
@@ -185,6 +187,6 @@ def test_a_fit_of_simulated_noise_of_the_part() -> None:
     recording = imucal.simulate(
         NoiseModel.parse(f"N={SHEET}"), NoiseModel.parse("N=0.0018633", Sensor.ACCELEROMETER), rate_hz=100.0
     )
-    report = imucal.characterize(recording, imucal.Settings(model="N", method="slope"))
+    report = characterize(recording, Settings(model="N", method="slope"))
     for ratio in sheet_ratios(report, part, forced=True):
         assert (ratio.low + ratio.high) / 2 == pytest.approx(1, abs=0.05)
