@@ -99,7 +99,8 @@ def _in_children(
             if future.exception() is not None:
                 break
             found[futures[future]] = future.result()
-            notify()
+            if len(found) < len(items):
+                notify()
     except (OSError, BrokenProcessPool):
         # The system refuses another process, or has killed one.
         return

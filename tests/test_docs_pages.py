@@ -1,6 +1,5 @@
 """Tests of pages that quote imucal: messages, options, pictures and files."""
 
-import ast
 import re
 import tomllib
 from collections.abc import Callable, Iterator
@@ -19,49 +18,9 @@ from tests.code_blocks import code_blocks
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-_GAP = "\0"
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
 #: An option of `ros2 topic echo`, and one of a benchmark.
 _OTHERS = {"--csv", "--minutes"}
-
-
-def texts() -> Iterator[str]:
-    """Yield every string of the package, with a gap for each value."""
-    for file in (ROOT / "imucal").rglob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.JoinedStr):
-                yield "".join(
-                    part.value if isinstance(part, ast.Constant) and isinstance(part.value, str) else _GAP
-                    for part in node.values
-                )
-            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-                yield node.value
-
-
-def contains(message: str, text: str) -> bool:
-    """Return whether the words between the gaps of a message are in a text, in order."""
-    parts = [re.escape(words) for part in message.split("…") if (words := part.strip(" :'"))]
-    return re.search(".*".join(parts), text, re.DOTALL) is not None
-
-
-def test_frequent_messages_are_printed_by_the_package() -> None:
-    """At least fifteen messages are quoted literally."""
-    page = (DOCS / "messages.md").read_text(encoding="utf-8").partition("\n## Frequent messages\n")[2]
-    messages = re.findall(r"^\| `([^`]+)` \|", page, re.MULTILINE)
-    assert len(messages) >= 15
-    assert len(set(messages)) == len(messages)
-    strings = [text for text in texts() if len(text) > 12]
-    # Problem and advice are separate strings.
-    parts = [part for message in messages for part in message.split("; ")]
-    assert [part for part in parts if not any(contains(part, text) for text in strings)] == []
-
-
-def test_a_message_that_is_never_printed_is_found() -> None:
-    """The comparison covers the words and their order."""
-    text = f"{_GAP}: there is no topic {_GAP}; choose one of these topics {_GAP}"
-    assert contains("…: there is no topic …; choose one of these topics", text)
-    assert not contains("choose one … there is no topic", text)
-    assert not contains("…: there is no such topic …", text)
 
 
 def options_of(command: click.Command) -> Iterator[str]:

@@ -137,7 +137,7 @@ _api: Any = imucal
     ("call", "message"),
     [
         (lambda: _api.fit(_SAMPLES), "give one, such as imucal.fit(samples, rate_hz=200.0)"),
-        (lambda: _api.fit("log.mcap"), "type imucal.fit(imucal.read('log.mcap'))"),
+        (lambda: _api.fit("log.mcap"), "log.mcap: can't be opened"),
         (lambda: _api.fit(_SAMPLES.reshape(-1, 2), rate_hz=1.0), "give one axis, such as samples[:, 0]"),
         (lambda: _api.fit(object()), "found object, expected a recording"),
         (lambda: _api.fit(_SAMPLES, rate_hz=-1.0), "rate_hz must be positive"),

@@ -31,7 +31,7 @@ SCHEMA_FILE = Path(imucal.__file__).parent / "report" / "schema" / "report-4.sch
 _DESCRIPTIONS: dict[str, dict[str, str]] = tomllib.loads(
     Path(__file__).with_name("report_keys.toml").read_text(encoding="utf-8")
 )
-#: Name of a part of the schema -> its dataclass; docs/json.md has a table of each.
+#: Name of a part of the schema -> its dataclass; docs/json.md has a table of the most important.
 _PARTS: dict[str, Any] = {
     "finding": Finding,
     "quantity": document.QuantityEntry,

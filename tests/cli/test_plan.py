@@ -19,7 +19,7 @@ def test_a_model_gives_a_table_of_80_columns(tmp_path: Path) -> None:
         "",
         "gyro  at 100 Hz, 3 h",
         "  term             value  unit                            needs       this gives",
-        "  N                3.438  deg/sqrt(h)                    0.94 s         ±0.068 %",
+        "  N                3.438  deg/sqrt(h)                    0.93 s         ±0.068 %",
         "  K                12.38  deg/h/sqrt(h)                3 d 22 h  ±83 % (0 of 10)",
     ]
 

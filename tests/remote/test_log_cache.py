@@ -242,7 +242,7 @@ def test_a_disk_that_fills_during_the_download_is_reported(web: WebServer, cache
         "resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))\n"
         "import imucal, sys\n"
         "try: imucal.read(sys.argv[1])\n"
-        "except ReadError as error: print(error)\n"
+        "except imucal.ImucalError as error: print(error)\n"
     )
     url = web.add("/a", BODY)
     out, err = start(f"{url}?sig=SECRET", limited).communicate(timeout=60)

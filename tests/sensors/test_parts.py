@@ -6,7 +6,7 @@ import tomllib
 import pytest
 
 import imucal
-from imucal.errors import ArgumentError, ChoiceError
+from imucal.errors import ChoiceError
 from imucal.recording import Sensor
 from imucal.sensors import Part, PartSensor, cautions, every_part, find_sensor
 from tests.benchmarks.sensor_parts import SHIPPED, shipped_text
@@ -140,5 +140,3 @@ def test_an_unknown_name_has_a_way_on(name: str, words: str) -> None:
 
 def test_the_public_function() -> None:
     assert imucal.sensor("BMI088") is find_sensor("BMI088")
-    with pytest.raises(ArgumentError, match="name is an int"):
-        imucal.sensor(88)  # type: ignore[arg-type]
