@@ -22,6 +22,8 @@ from imucal.report.exports import TARGETS
 __all__ = ["PAGES", "renew_pages", "renewed_page"]
 
 PAGES = sorted((Path(__file__).parents[2] / "docs").glob("*.md"))
+#: What the kind of a number also says: it is continuous.
+_SAME_AT_ANY_RATE = "; no factor of the rate"
 _TABLE = re.compile(r"(<!-- table: ([a-z_ -]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -80,8 +82,9 @@ def _programs() -> str:
         (
             target.title,
             f"`{target.name}`",
-            _escaped("; ".join(target.formulas)),
-            _escaped(target.kind.partition(";")[0]),
+            _escaped("; ".join(target.formulas).replace(_SAME_AT_ANY_RATE, "")),
+            # Its start; the file has all of it.
+            _escaped(re.split("[;,:]", target.kind)[0]),
         )
         for target in TARGETS.values()
     )
@@ -100,13 +103,7 @@ _TABLES: dict[str, Callable[[], str]] = {
     "formats": _formats,
     "programs": _programs,
     "report": _keys(""),
-    **{
-        name: _keys(name)
-        for name in (
-            *("source", "filter_numbers", "axis", "curve", "minimum", "spectrum", "fit", "goodness"),
-            *("segments", "term", "finding"),
-        )
-    },
+    **{name: _keys(name) for name in ("axis", "fit", "term", "finding")},
 }
 
 
