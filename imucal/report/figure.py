@@ -40,7 +40,7 @@ from imucal.report.figure_style import (
 )
 from imucal.report.numbers import SheetUnits, sheet_units
 from imucal.report.result import AxisReport, Report
-from imucal.report.view import Row, View, views
+from imucal.report.view import Column, Shown, View, views
 from imucal.resources import threads
 from imucal.units import duration
 
@@ -48,13 +48,28 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+#: Formats of pictures.
 FORMATS = ("png", "svg", "pdf")
-#: Inches.
+#: Width of a picture, in inches.
 WIDTH = 10.0
-_PLOT_HEIGHT, _HEAD, _AXIS_ROOM, _ROW = 3.3, 0.72, 0.55, 0.2
+#: Height of the plots, in inches.
+_PLOT_HEIGHT = 3.3
+#: Height of title, subtitle and verdict, in inches.
+_HEAD = 0.72
+#: Height of the labels of the lower scale, in inches.
+_SCALE = 0.55
+#: Height of a row of legend or table, in inches.
+_ROW = 0.2
+#: Left side and width of the Allan deviation, as fractions of the picture.
+_ALLAN = (0.085, 0.497)
+#: Left side and width of the spectrum, as fractions of the picture.
+_SPECTRUM = (0.674, 0.312)
+#: Left sides of the columns of the table, as fractions of the picture.
+_COLUMNS = (0.1, 0.4, 0.7)
+#: Most characters of a line of the verdict, which leaves space for the title.
+_VERDICT = 110
+#: Colour of the verdict by its grade.
 _GRADES = {"good": "#1d6b35", "check": "#8a5200", "not-noise": "#b00020"}
-#: Fractions of the figure.
-_LEFT, _RIGHT = (0.085, 0.497), (0.674, 0.312)
 
 
 def check_format(form: str) -> None:
@@ -136,25 +151,17 @@ def render(figure: "Figure", form: str, *, version: str = "") -> bytes:
     return stream.getvalue()
 
 
-_WHITE = np.uint32(0xFFFFFFFF)
-
-
 def _save_png(figure: "Figure", stream: io.BytesIO, maker: str) -> None:
+    """Write a png with 256 colours: a third of the size of matplotlib's, and pages contain the pictures."""
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
     canvas: Any = figure.canvas
     canvas.draw()
-    pixels = np.asarray(canvas.buffer_rgba()).view(np.uint32)[..., 0]
-    # To save time, quantize only the pixels that are not white.
-    inked = np.flatnonzero(pixels != _WHITE)
-    ink = Image.fromarray(pixels.ravel()[inked].view(np.uint8).reshape(1, -1, 4), "RGBA").convert("RGB")
-    ink = ink.quantize(255, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    indices = np.full(pixels.shape, 255, dtype=np.uint8)
-    indices.ravel()[inked] = np.asarray(ink)[0]
-    image = Image.fromarray(indices, "P")
-    palette = (ink.getpalette() or [])[: 3 * 255]
-    image.putpalette(palette + [0] * (3 * 255 - len(palette)) + [255] * 3)
+    image = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    image = image.quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    # The quantizer rounds white to 254.
+    image.putpalette([255 if level == 254 else level for level in image.getpalette() or []])
     info = PngInfo()
     info.add_text("Software", maker)
     image.save(stream, "png", pnginfo=info, dpi=(figure.dpi, figure.dpi))
@@ -171,16 +178,16 @@ def axis_title(axis: AxisReport) -> str:
 
 
 def _figure(report: Report, *, rows: int) -> tuple["Figure", Any, Any]:
-    bottom = _AXIS_ROOM + _ROW * rows + 0.1
+    bottom = _SCALE + _ROW * rows + 0.1
     height = bottom + _PLOT_HEIGHT + _HEAD
     figure = new_figure(WIDTH, height)
     plots = [
         figure.add_axes((place, bottom / height, width, _PLOT_HEIGHT / height))
-        for place, width in (_LEFT, _RIGHT)
+        for place, width in (_ALLAN, _SPECTRUM)
     ]
     write_foot(figure, report.source.name, report.version)
     # Pictures are often shared without the page.
-    lines = "\n".join(textwrap.wrap(report.verdict.sentence, 110))
+    lines = "\n".join(textwrap.wrap(report.verdict.sentence, _VERDICT))
     style: Style = {"fontsize": SMALL_SIZE, "color": _GRADES[report.verdict.grade], "wrap": False}
     figure.text(0.988, 1 - 0.12 / height, lines, ha="right", va="top", **style)
     return figure, plots[0], plots[1]
@@ -197,25 +204,21 @@ def _recorded(axis: AxisReport) -> str:
 
 
 def _table_rows(seen: View) -> list[tuple[str, list[str]]]:
-    """Return a name and texts for the axes; T is in the row of its term."""
-    rows: dict[str, list[str]] = {}
+    """Return rows of a key and a text for each axis; notes have a row of their own."""
+    rows = []
     for row in seen.rows:
-        key, _, time = row.key.partition(" ")
-        if time:
-            also = [f",  T {numbers.with_uncertainty(cell.si)}" if cell else "" for cell in row.cells]
-            rows[key] = [text + more for text, more in zip(rows[key], also, strict=True)]
-        else:
-            rows[key] = _row_texts(row)
-            notes = [cell.note if cell and row.symbol else "" for cell in row.cells]
-            if any(notes):
-                rows[f"{key} note"] = notes
-    return [("" if key.endswith(" note") else key, texts) for key, texts in rows.items()]
+        column = row.column(datasheet=True)
+        rows.append((row.key, [_table_text(text, column) for text in column.texts]))
+        notes = [text.note if text else "" for text in column.texts]
+        if any(notes):
+            rows.append(("", notes))
+    return rows
 
 
-def _row_texts(row: Row) -> list[str]:
-    exponent = row.column(datasheet=True).exponent
-    text_of = numbers.with_uncertainty if row.symbol else numbers.with_interval
-    return [text_of(cell.sheet, exponent=exponent) if cell else "–" for cell in row.cells]
+def _table_text(text: Shown | None, column: Column) -> str:
+    if text is None:
+        return "–"
+    return numbers.with_unit(f"{text.value} {text.interval}".rstrip(), column.exponent, column.unit)
 
 
 def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str, list[str]]]) -> None:
@@ -223,17 +226,16 @@ def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str,
     from matplotlib.lines import Line2D
 
     height = figure.get_figheight()
-    columns = [0.1, 0.4, 0.7]
     y = (0.42 + _ROW * len(rows)) / height
     style: Style = {"fontsize": LEGEND_SIZE, "color": INK, "va": "baseline"}
-    for axis, x in zip(axes, columns, strict=False):
+    for axis, x in zip(axes, _COLUMNS, strict=False):
         line = marked(axis.axis, linewidth=1.8, markersize=4)
         figure.add_artist(Line2D([x, x + 0.02, x + 0.04], [y + 0.045 / height] * 3, **line))
         figure.text(x + 0.048, y, axis.axis, **(style | {"fontweight": "bold"}))
     for key, texts in rows:
         y -= _ROW / height
         figure.text(0.02, y, key, **(style | {"fontweight": "bold"}))
-        for text, x in zip(texts, columns, strict=False):
+        for text, x in zip(texts, _COLUMNS, strict=False):
             figure.text(x, y, text, **style)
 
 

@@ -29,9 +29,10 @@ from imucal.report.figure_style import (
     stroked,
     style_axes,
 )
-from imucal.report.labels import Label, place_labels
+from imucal.report.labels import Label, Obstacle, place_labels
 from imucal.report.numbers import SheetUnits
 from imucal.report.result import AxisReport
+from imucal.report.view import term_name
 from imucal.units import pretty
 
 if TYPE_CHECKING:
@@ -115,7 +116,7 @@ def term_entries(fit: NoiseFit, terms: list[Drawn], marked_symbols: set[str]) ->
     entries: Style = {}
     for drawn in terms:
         symbol = drawn.term.symbol
-        name = f"{symbol}{' bound:' if drawn.bounded else ''} {numbers.term_name(symbol, fit.sensor)}"
+        name = f"{symbol}{' bound:' if drawn.bounded else ''} {term_name(symbol, fit.sensor)}"
         mark = _read_off_mark(drawn) if symbol in marked_symbols else {}
         line = stroked(drawn.term.stroke, linewidth=1.3, label=name, **mark)
         entries[symbol] = Line2D([], [], **line)
@@ -161,6 +162,10 @@ class SheetLine:
 
 _SHEET: Style = {"color": UNUSED, "linewidth": 2.4, "linestyle": "--", "zorder": 1}
 
+#: Cost of a label for each covered point of the data or of the model.
+_BUSY = 2.0
+#: Cost of a label for each covered point of a term.
+_QUIET = 0.7
 #: Factor below the curve down to which read-offs are visible.
 _DEEPEST = 40.0
 
@@ -179,14 +184,17 @@ def draw_allan(
     if fit.model.terms:
         name = f"model {fit.model}"
         entries += axes.plot(tau, total, color=MODEL.light, linewidth=1.8, zorder=6, label=name)
-    obstacles = [(curve.tau[shown], curve.adev[shown] * factor, 2.0), (tau, total, 2.0)]
+    obstacles = [
+        Obstacle(curve.tau[shown], curve.adev[shown] * factor, _BUSY),
+        Obstacle(tau, total, _BUSY),
+    ]
     for each in sheet:
         deviation = np.sqrt(each.term.avar(m, 1 / rate)) * factor
         entries += axes.plot(tau, deviation, label=each.label, **_SHEET)
     labels = []
     for drawn in terms:
         line = np.sqrt(drawn.term.avar(m, 1 / rate)) * factor
-        obstacles.append((tau, line, 0.7))
+        obstacles.append(Obstacle(tau, line, _QUIET))
         labels.append(_term(axes, fit, drawn, units, (tau, line, total)))
     marked_symbols = {d.term.symbol for d, label in zip(terms, labels, strict=True) if not np.ndim(label.x)}
     (lowest, at), text = curve.minimum, f"minimum {numbers.with_interval(units.minimum(fit))}"
@@ -325,7 +333,7 @@ def draw_psd(axes: "Axes", axis: AxisReport, units: SheetUnits) -> list[Any]:
         axes.plot(grid, model * factor, color=MODEL.light, linewidth=1.8, zorder=6)
     entries = _unused_band(axes, axis)
     labels = _lines(axes, axis, entries, factor) + _response(axes, axis)
-    place_labels(axes, labels, obstacles=[(frequency, root, 2.0)], fontsize=LEGEND_SIZE)
+    place_labels(axes, labels, obstacles=[Obstacle(frequency, root, _BUSY)], fontsize=LEGEND_SIZE)
     return entries
 
 
