@@ -6,7 +6,7 @@ They use matplotlib's Agg canvas without global state. Forked processes draw in 
 import base64
 import io
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from importlib import import_module
@@ -42,7 +42,6 @@ from imucal.report.numbers import SheetUnits, sheet_units
 from imucal.report.result import AxisReport, Report
 from imucal.report.view import Column, Shown, View, views
 from imucal.resources import threads
-from imucal.units import duration
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -196,7 +195,7 @@ def _figure(report: Report, *, rows: int) -> tuple["Figure", Any, Any]:
 def recording_text(duration_s: float, rate_hz: float, samples: int) -> str:
     """Return ``3 h at 200 Hz   ·   2 160 000 samples``."""
     count = f"{samples:,}".replace(",", " ")
-    return f"{duration(duration_s)} at {rate_hz:.6g} Hz   ·   {count} samples"
+    return f"{numbers.recorded(duration_s, rate_hz)}   ·   {count} samples"
 
 
 def _recorded(axis: AxisReport) -> str:
@@ -270,10 +269,10 @@ def _items(report: Report) -> tuple[AxisReport | Sensor, ...]:
     return (*report.axes, *report.by_sensor)
 
 
-def _files(item: AxisReport | Sensor, formats: Sequence[str]) -> dict[str, Callable[[Report, Any], "Figure"]]:
-    """Return file name -> function that draws it."""
-    stem, whole = (item.short, sensor_figure) if isinstance(item, Sensor) else (item.name, axis_figure)
-    return {f"{stem}.{form}": whole for form in formats}
+def _files(item: AxisReport | Sensor, formats: Sequence[str]) -> dict[str, str]:
+    """Return file name -> format."""
+    stem = item.short if isinstance(item, Sensor) else item.name
+    return {f"{stem}.{form}": form for form in formats}
 
 
 def draw(
@@ -306,14 +305,16 @@ def draw(
 def _draw_one(report: Report, item: AxisReport | Sensor, *, formats: tuple[str, ...]) -> Drawings:
     from matplotlib import rc_context
 
-    made = cache(lambda figure: figure(report, item))
+    @cache
+    def figure() -> "Figure":
+        return sensor_figure(report, item) if isinstance(item, Sensor) else axis_figure(report, item)
+
     result = Drawings()
-    for name, figure in _files(item, formats).items():
-        form = name.rpartition(".")[2]
+    for name, form in _files(item, formats).items():
         # Hinting is invisible at this size, and slow.
         with rc_context({"text.hinting": "none"}):
             content, failed = try_side_work(
-                lambda figure=figure, form=form: render(made(figure), form, version=report.version),  # type: ignore[misc]
+                lambda form=form: render(figure(), form, version=report.version),  # type: ignore[misc]
                 None,
                 what=f"{name} was left out",
                 code="not-drawn",
