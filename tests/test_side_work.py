@@ -11,7 +11,7 @@ from imucal import pipeline, screening, side_work
 from imucal.errors import DataError
 from imucal.pipeline import Settings, characterize, screen
 from imucal.recording import AxisSeries, Recording, Source
-from imucal.report import figure, html_page
+from imucal.report import figure, page
 from imucal.report.json_file import load
 from imucal.report.writer import write_report
 from imucal.side_work import findings_or_why_not, try_side_work
@@ -138,7 +138,7 @@ def test_an_axis_is_fitted_without_screening(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.usefixtures("as_a_user")
 @pytest.mark.parametrize(
     ("home", "name", "missing"),
-    [(figure, "axis_figure", {"gyro_x.png"}), (html_page, "render_page", {"report.html"})],
+    [(figure, "axis_figure", {"gyro_x.png"}), (page, "render_page", {"report.html"})],
 )
 def test_a_failed_picture_does_not_prevent_the_report(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, home: object, name: str, missing: set[str]

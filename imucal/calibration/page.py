@@ -11,7 +11,7 @@ from imucal.calibration.result import Calibration
 from imucal.calibration.table import headline, remarks, rows
 from imucal.findings import phrase_of
 from imucal.report.markup import Markup, render
-from imucal.report.page_parts import listed_findings
+from imucal.report.page import listed_findings
 
 __all__ = ["render_page"]
 

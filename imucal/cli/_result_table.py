@@ -11,8 +11,10 @@ from imucal.report.result import AxisReport, Report
 from imucal.report.view import Row, View, ordered_keys, views
 from imucal.units import duration, pretty
 
-#: Width of a column, and of the space between two: 80 in all. Narrower tables have one column.
-_COLUMN, _SPACE = 39, 2
+#: Width of a column, in characters: two of them fit into 80. Narrower tables have one column.
+_COLUMN = 39
+#: Characters between two columns.
+_SPACE = 2
 #: No line breaks between a number and its unit, or in ``3 h 2 min``.
 _KEPT = re.compile(r"(?<=\d) (?=[A-Za-z%])|(?<= h) (?=\d)|(?<= d) (?=\d)|(?<= min) (?=\d)")
 _Block = list[str]
@@ -88,7 +90,7 @@ def _heading(axes: Sequence[AxisReport]) -> _Block:
 
 
 def _block(row: Row, names: Sequence[str], *, datasheet: bool, plain: bool) -> _Block:
-    """Return a title with the unit, and one line per axis, all with the same power of ten."""
+    """Return a title with the unit, a remark, and one line per axis, all with the same power of ten."""
     column = row.column(datasheet=datasheet)
     unit = column.unit if plain else pretty(column.unit)
     unit = f"1e{column.exponent} {unit}" if column.exponent else unit
@@ -96,14 +98,16 @@ def _block(row: Row, names: Sequence[str], *, datasheet: bool, plain: bool) -> _
     title = f"{key} {name}" if row.key == "minimum" else f"{key}  {name}"
     head = f"{title}  {unit}"
     lines = [head] if len(head) <= _COLUMN else [title, f"   in {unit}"]
+    if row.remark:
+        lines += _wrapped(f"({row.remark})", _COLUMN)
     widest = max(len(text.value) for text in column.texts if text)
     for axis, text in zip(names, column.texts, strict=True):
         if text is None:
             continue
-        line = (
-            f"{axis}  {text.value:{widest}}  {text.interval}{'  ' if text.note else ''}{text.note}".rstrip()
-        )
-        fits = len(line) <= _COLUMN
-        note = [f"   {text.note}"] if text.note and not fits else []
-        lines += [line] if fits else [line.removesuffix(text.note).rstrip(), *note]
+        numbers = f"{axis}  {text.value:{widest}}  {text.interval}".rstrip()
+        line = f"{axis}  {text.value:{widest}}  {text.interval}  {text.note}".rstrip()
+        if text.note and len(line) > _COLUMN:
+            lines += [numbers, f"   {text.note}"]
+        else:
+            lines.append(line)
     return lines

@@ -5,7 +5,7 @@ import importlib
 #: Loaded when they are needed: the fit, the report of a log, and the readers of most formats.
 _LAZY = (
     "imucal.fitting.moments",
-    "imucal.report.html_page",
+    "imucal.report.page",
     "mcap.reader",
     "polars",
     "rosbags.highlevel",

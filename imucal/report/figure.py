@@ -6,7 +6,7 @@ They use matplotlib's Agg canvas without global state. Forked processes draw in 
 import base64
 import io
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from importlib import import_module
@@ -40,22 +40,36 @@ from imucal.report.figure_style import (
 )
 from imucal.report.numbers import SheetUnits, sheet_units
 from imucal.report.result import AxisReport, Report
-from imucal.report.view import Row, View, views
+from imucal.report.view import Column, Shown, View, views
 from imucal.resources import threads
 from imucal.side_work import try_side_work
-from imucal.units import duration
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+#: Formats of pictures.
 FORMATS = ("png", "svg", "pdf")
-#: Inches.
+#: Width of a picture, in inches.
 WIDTH = 10.0
-_PLOT_HEIGHT, _HEAD, _AXIS_ROOM, _ROW = 3.3, 0.72, 0.55, 0.2
+#: Height of the plots, in inches.
+_PLOT_HEIGHT = 3.3
+#: Height of title, subtitle and verdict, in inches.
+_HEAD = 0.72
+#: Height of the labels of the lower scale, in inches.
+_SCALE = 0.55
+#: Height of a row of legend or table, in inches.
+_ROW = 0.2
+#: Left side and width of the Allan deviation, as fractions of the picture.
+_ALLAN = (0.085, 0.497)
+#: Left side and width of the spectrum, as fractions of the picture.
+_SPECTRUM = (0.674, 0.312)
+#: Left sides of the columns of the table, as fractions of the picture.
+_COLUMNS = (0.1, 0.4, 0.7)
+#: Most characters of a line of the verdict, which leaves space for the title.
+_VERDICT = 110
+#: Colour of the verdict by its grade.
 _GRADES = {"good": "#1d6b35", "check": "#8a5200", "not-noise": "#b00020"}
-#: Fractions of the figure.
-_LEFT, _RIGHT = (0.085, 0.497), (0.674, 0.312)
 
 
 def check_format(form: str) -> None:
@@ -137,25 +151,17 @@ def render(figure: "Figure", form: str, *, version: str = "") -> bytes:
     return stream.getvalue()
 
 
-_WHITE = np.uint32(0xFFFFFFFF)
-
-
 def _save_png(figure: "Figure", stream: io.BytesIO, maker: str) -> None:
+    """Write a png with 256 colours: a third of the size of matplotlib's, and pages contain the pictures."""
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
     canvas: Any = figure.canvas
     canvas.draw()
-    pixels = np.asarray(canvas.buffer_rgba()).view(np.uint32)[..., 0]
-    # To save time, quantize only the pixels that are not white.
-    inked = np.flatnonzero(pixels != _WHITE)
-    ink = Image.fromarray(pixels.ravel()[inked].view(np.uint8).reshape(1, -1, 4), "RGBA").convert("RGB")
-    ink = ink.quantize(255, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    indices = np.full(pixels.shape, 255, dtype=np.uint8)
-    indices.ravel()[inked] = np.asarray(ink)[0]
-    image = Image.fromarray(indices, "P")
-    palette = (ink.getpalette() or [])[: 3 * 255]
-    image.putpalette(palette + [0] * (3 * 255 - len(palette)) + [255] * 3)
+    image = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    image = image.quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    # The quantizer rounds white to 254.
+    image.putpalette([255 if level == 254 else level for level in image.getpalette() or []])
     info = PngInfo()
     info.add_text("Software", maker)
     image.save(stream, "png", pnginfo=info, dpi=(figure.dpi, figure.dpi))
@@ -172,16 +178,16 @@ def axis_title(axis: AxisReport) -> str:
 
 
 def _figure(report: Report, *, rows: int) -> tuple["Figure", Any, Any]:
-    bottom = _AXIS_ROOM + _ROW * rows + 0.1
+    bottom = _SCALE + _ROW * rows + 0.1
     height = bottom + _PLOT_HEIGHT + _HEAD
     figure = new_figure(WIDTH, height)
     plots = [
         figure.add_axes((place, bottom / height, width, _PLOT_HEIGHT / height))
-        for place, width in (_LEFT, _RIGHT)
+        for place, width in (_ALLAN, _SPECTRUM)
     ]
     write_foot(figure, report.source.name, report.version)
     # Pictures are often shared without the page.
-    lines = "\n".join(textwrap.wrap(report.verdict.sentence, 110))
+    lines = "\n".join(textwrap.wrap(report.verdict.sentence, _VERDICT))
     style: Style = {"fontsize": SMALL_SIZE, "color": _GRADES[report.verdict.grade], "wrap": False}
     figure.text(0.988, 1 - 0.12 / height, lines, ha="right", va="top", **style)
     return figure, plots[0], plots[1]
@@ -190,7 +196,7 @@ def _figure(report: Report, *, rows: int) -> tuple["Figure", Any, Any]:
 def recording_text(duration_s: float, rate_hz: float, samples: int) -> str:
     """Return ``3 h at 200 Hz   ·   2 160 000 samples``."""
     count = f"{samples:,}".replace(",", " ")
-    return f"{duration(duration_s)} at {rate_hz:.6g} Hz   ·   {count} samples"
+    return f"{numbers.recorded(duration_s, rate_hz)}   ·   {count} samples"
 
 
 def _recorded(axis: AxisReport) -> str:
@@ -198,25 +204,21 @@ def _recorded(axis: AxisReport) -> str:
 
 
 def _table_rows(seen: View) -> list[tuple[str, list[str]]]:
-    """Return a name and texts for the axes; T is in the row of its term."""
-    rows: dict[str, list[str]] = {}
+    """Return rows of a key and a text for each axis; notes have a row of their own."""
+    rows = []
     for row in seen.rows:
-        key, _, time = row.key.partition(" ")
-        if time:
-            also = [f",  T {numbers.with_uncertainty(cell.si)}" if cell else "" for cell in row.cells]
-            rows[key] = [text + more for text, more in zip(rows[key], also, strict=True)]
-        else:
-            rows[key] = _row_texts(row)
-            notes = [cell.note if cell and row.symbol else "" for cell in row.cells]
-            if any(notes):
-                rows[f"{key} note"] = notes
-    return [("" if key.endswith(" note") else key, texts) for key, texts in rows.items()]
+        column = row.column(datasheet=True)
+        rows.append((row.key, [_table_text(text, column) for text in column.texts]))
+        notes = [text.note if text else "" for text in column.texts]
+        if any(notes):
+            rows.append(("", notes))
+    return rows
 
 
-def _row_texts(row: Row) -> list[str]:
-    exponent = row.column(datasheet=True).exponent
-    text_of = numbers.with_uncertainty if row.symbol else numbers.with_interval
-    return [text_of(cell.sheet, exponent=exponent) if cell else "–" for cell in row.cells]
+def _table_text(text: Shown | None, column: Column) -> str:
+    if text is None:
+        return "–"
+    return numbers.with_unit(f"{text.value} {text.interval}".rstrip(), column.exponent, column.unit)
 
 
 def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str, list[str]]]) -> None:
@@ -224,17 +226,16 @@ def _write_table(figure: "Figure", axes: list[AxisReport], rows: list[tuple[str,
     from matplotlib.lines import Line2D
 
     height = figure.get_figheight()
-    columns = [0.1, 0.4, 0.7]
     y = (0.42 + _ROW * len(rows)) / height
     style: Style = {"fontsize": LEGEND_SIZE, "color": INK, "va": "baseline"}
-    for axis, x in zip(axes, columns, strict=False):
+    for axis, x in zip(axes, _COLUMNS, strict=False):
         line = marked(axis.axis, linewidth=1.8, markersize=4)
         figure.add_artist(Line2D([x, x + 0.02, x + 0.04], [y + 0.045 / height] * 3, **line))
         figure.text(x + 0.048, y, axis.axis, **(style | {"fontweight": "bold"}))
     for key, texts in rows:
         y -= _ROW / height
         figure.text(0.02, y, key, **(style | {"fontweight": "bold"}))
-        for text, x in zip(texts, columns, strict=False):
+        for text, x in zip(texts, _COLUMNS, strict=False):
             figure.text(x, y, text, **style)
 
 
@@ -269,10 +270,10 @@ def _items(report: Report) -> tuple[AxisReport | Sensor, ...]:
     return (*report.axes, *report.by_sensor)
 
 
-def _files(item: AxisReport | Sensor, formats: Sequence[str]) -> dict[str, Callable[[Report, Any], "Figure"]]:
-    """Return file name -> function that draws it."""
-    stem, whole = (item.short, sensor_figure) if isinstance(item, Sensor) else (item.name, axis_figure)
-    return {f"{stem}.{form}": whole for form in formats}
+def _files(item: AxisReport | Sensor, formats: Sequence[str]) -> dict[str, str]:
+    """Return file name -> format."""
+    stem = item.short if isinstance(item, Sensor) else item.name
+    return {f"{stem}.{form}": form for form in formats}
 
 
 def draw(
@@ -305,14 +306,16 @@ def draw(
 def _draw_one(report: Report, item: AxisReport | Sensor, *, formats: tuple[str, ...]) -> Drawings:
     from matplotlib import rc_context
 
-    made = cache(lambda figure: figure(report, item))
+    @cache
+    def figure() -> "Figure":
+        return sensor_figure(report, item) if isinstance(item, Sensor) else axis_figure(report, item)
+
     result = Drawings()
-    for name, figure in _files(item, formats).items():
-        form = name.rpartition(".")[2]
+    for name, form in _files(item, formats).items():
         # Hinting is invisible at this size, and slow.
         with rc_context({"text.hinting": "none"}):
             content, failed = try_side_work(
-                lambda figure=figure, form=form: render(made(figure), form, version=report.version),  # type: ignore[misc]
+                lambda form=form: render(figure(), form, version=report.version),  # type: ignore[misc]
                 None,
                 what=f"{name} was left out",
                 code="not-drawn",

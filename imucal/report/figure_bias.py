@@ -33,6 +33,7 @@ from imucal.report.figure_style import (
 )
 from imucal.report.out_folder import FilesOfFolder, OutFolder
 from imucal.report.typed_json import JsonObject, picked
+from imucal.report.view import term_name
 from imucal.units import pretty, time_unit
 
 if TYPE_CHECKING:
@@ -137,7 +138,7 @@ def _draw_part(axes: "Axes", view: _View, part: Component, unit: str) -> None:
     holds_level = term.symbol == "K"
     _, _, ends = _draw_line(axes, view, part, term.stroke, 1.3, centred=holds_level)
     _style(axes, view, unit, ends)
-    name = term.name(view.parts.series.sensor)
+    name = term_name(term.symbol, view.parts.series.sensor)
     text = f"{part.key}  {name}{', minus its mean' if holds_level else ''}"
     place: Style = {"transform": axes.transAxes, "va": "bottom", "fontweight": "bold"}
     axes.text(0.0, 1.04, text, fontsize=LEGEND_SIZE, color=term.stroke.light, **place)

@@ -29,71 +29,17 @@ from imucal.report.figure_style import (
     stroked,
     style_axes,
 )
-from imucal.report.labels import Label, place_labels
+from imucal.report.labels import Label, Obstacle, place_labels
 from imucal.report.numbers import SheetUnits
 from imucal.report.result import AxisReport
+from imucal.report.smooth_spectrum import smooth_spectrum
+from imucal.report.view import term_name
 from imucal.units import pretty
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-
-#: Ordinates of the lowest point of a smoothed spectrum: more hide the lowest slope.
-_MIN_FIRST_ORDINATES = 6.0
-#: Ordinates of every other point: fewer show single spikes.
-_MIN_ORDINATES = 12.0
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SmoothSpectrum:
-    """Root of a two-sided density with its limits, in U/√Hz, shape (k,); `frequency` in Hz."""
-
-    frequency: FloatArray
-    root: FloatArray
-    low: FloatArray
-    high: FloatArray
-
-
-def smooth_spectrum(axis: AxisReport) -> SmoothSpectrum:
-    """Return an axis's spectrum; neighbouring bins are merged until each point averages 12 ordinates.
-
-    The ratio to the model is averaged, because averages of a steep density would be too high. Limits are
-    chi-squared. Source: Blackman & Tukey (1958), The Measurement of Power Spectra, sec. B.18.
-    """
-    from scipy.special import chdtri
-
-    spectrum, fit = axis.spectrum, axis.fit
-    if not spectrum.frequency.size:
-        none = np.zeros(0)
-        return SmoothSpectrum(frequency=none, root=none, low=none, high=none)
-    first = _firsts(spectrum.count)
-    count = np.add.reduceat(spectrum.count, first)
-    frequency = np.exp(np.add.reduceat(np.log(spectrum.frequency) * spectrum.count, first) / count)
-    ratio = np.add.reduceat(spectrum.psd / _shape(axis, spectrum.frequency) * spectrum.count, first) / count
-    root = np.sqrt(ratio * _shape(axis, frequency))
-    tail = (1 - fit.level) / 2
-    low, high = (root * np.sqrt(count / chdtri(count, beyond)) for beyond in (tail, 1 - tail))
-    return SmoothSpectrum(frequency=frequency, root=root, low=low, high=high)
-
-
-def _shape(axis: AxisReport, frequency: FloatArray) -> FloatArray:
-    density = axis.fit.model.psd(frequency, rate_hz=axis.fit.rate_hz)
-    return density if np.all(density > 0) else np.ones(frequency.size)
-
-
-def _firsts(count: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Return the first bin of each merged bin; the last one includes the remainder."""
-    firsts, held = [0], 0.0
-    for index, ordinates in enumerate(count.tolist()):
-        if held >= (_MIN_FIRST_ORDINATES if len(firsts) == 1 else _MIN_ORDINATES):
-            firsts.append(index)
-            held = 0.0
-        held += ordinates
-    if held < _MIN_ORDINATES and len(firsts) > 1:
-        firsts.pop()
-    return np.array(firsts, dtype=np.int64)
-
-
+#: The band of a confidence interval.
 _BAND: Style = {"color": "#9db7d1", "alpha": 0.5, "linewidth": 0, "zorder": 2}
 
 
@@ -115,7 +61,7 @@ def term_entries(fit: NoiseFit, terms: list[Drawn], marked_symbols: set[str]) ->
     entries: Style = {}
     for drawn in terms:
         symbol = drawn.term.symbol
-        name = f"{symbol}{' bound:' if drawn.bounded else ''} {numbers.term_name(symbol, fit.sensor)}"
+        name = f"{symbol}{' bound:' if drawn.bounded else ''} {term_name(symbol, fit.sensor)}"
         mark = _read_off_mark(drawn) if symbol in marked_symbols else {}
         line = stroked(drawn.term.stroke, linewidth=1.3, label=name, **mark)
         entries[symbol] = Line2D([], [], **line)
@@ -161,6 +107,10 @@ class SheetLine:
 
 _SHEET: Style = {"color": UNUSED, "linewidth": 2.4, "linestyle": "--", "zorder": 1}
 
+#: Cost of a label for each covered point of the data or of the model.
+_BUSY = 2.0
+#: Cost of a label for each covered point of a term.
+_QUIET = 0.7
 #: Factor below the curve down to which read-offs are visible.
 _DEEPEST = 40.0
 
@@ -179,14 +129,17 @@ def draw_allan(
     if fit.model.terms:
         name = f"model {fit.model}"
         entries += axes.plot(tau, total, color=MODEL.light, linewidth=1.8, zorder=6, label=name)
-    obstacles = [(curve.tau[shown], curve.adev[shown] * factor, 2.0), (tau, total, 2.0)]
+    obstacles = [
+        Obstacle(curve.tau[shown], curve.adev[shown] * factor, _BUSY),
+        Obstacle(tau, total, _BUSY),
+    ]
     for each in sheet:
         deviation = np.sqrt(each.term.avar(m, 1 / rate)) * factor
         entries += axes.plot(tau, deviation, label=each.label, **_SHEET)
     labels = []
     for drawn in terms:
         line = np.sqrt(drawn.term.avar(m, 1 / rate)) * factor
-        obstacles.append((tau, line, 0.7))
+        obstacles.append(Obstacle(tau, line, _QUIET))
         labels.append(_term(axes, fit, drawn, units, (tau, line, total)))
     marked_symbols = {d.term.symbol for d, label in zip(terms, labels, strict=True) if not np.ndim(label.x)}
     (lowest, at), text = curve.minimum, f"minimum {numbers.with_interval(units.minimum(fit))}"
@@ -325,7 +278,7 @@ def draw_psd(axes: "Axes", axis: AxisReport, units: SheetUnits) -> list[Any]:
         axes.plot(grid, model * factor, color=MODEL.light, linewidth=1.8, zorder=6)
     entries = _unused_band(axes, axis)
     labels = _lines(axes, axis, entries, factor) + _response(axes, axis)
-    place_labels(axes, labels, obstacles=[(frequency, root, 2.0)], fontsize=LEGEND_SIZE)
+    place_labels(axes, labels, obstacles=[Obstacle(frequency, root, _BUSY)], fontsize=LEGEND_SIZE)
     return entries
 
 

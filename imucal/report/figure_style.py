@@ -1,13 +1,11 @@
 """The style of pictures: colours, text sizes, ticks of logarithmic scales, header and footer.
 
 Colours are from Okabe & Ito (2008), "Color universal design", darkened for a contrast with white above 4.5.
-Every colour also has its own line style or marker. All minor ticks are one artist, because matplotlib's own
-are slow.
+Every colour also has its own line style or marker.
 """
 
 import math
-from collections.abc import Iterable
-from itertools import product
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -22,69 +20,94 @@ from imucal.report.result import AxisReport
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator
 
 
+#: Colour of text.
 INK = "#1c2733"
+#: Measured values.
 DATA = Stroke("#33414f", "#c9d4df", ())
+#: The fitted model.
 MODEL = Stroke("#0063a3", "#5db6f2", ())
+#: Colour of remarks.
 FADED = "#66717d"
-#: Not used by the fit.
+#: Colour of data that the fit did not use.
 UNUSED = "#b4bcc5"
+#: Colour of spectral lines that the fit left out.
 LEFT_OUT = "#b00020"
+#: Colour of grid lines.
 GRID = "#e3e7ec"
+#: Colour of the frame and of minor ticks.
 FRAME = "#9aa5b1"
+#: Colours and dashes of the axes of a sensor, in pictures with all three.
 AXES: dict[str, Stroke] = {
     "x": Stroke("#b84300", "#ff9157", ()),
     "y": Stroke("#0063a3", "#5db6f2", (6, 2)),
     "z": Stroke("#00734f", "#36c99a", (2, 1.5)),
 }
+#: Markers of the axes of a sensor, in pictures with all three.
+MARKERS = {"x": "o", "y": "s", "z": "^"}
+#: Size of the title, in points, for a figure 10 inches wide.
+TITLE_SIZE = 13.0
+#: Size of the labels of scales, in points.
+LABEL_SIZE = 9.5
+#: Size of legends and of labels in plots, in points.
+LEGEND_SIZE = 9.0
+#: Size of remarks, in points.
+SMALL_SIZE = 8.5
+#: Arguments of matplotlib.
+Style: TypeAlias = dict[str, Any]
+#: Labels of scales.
+LABEL_STYLE: Style = {"fontsize": LABEL_SIZE, "color": INK, "labelpad": 3}
+#: Legends.
+LEGEND_STYLE: Style = {"fontsize": LEGEND_SIZE, "frameon": False, "labelcolor": INK}
+#: Points of a curve.
+DOTS: Style = {"marker": "o", "markersize": 4.4, "linestyle": "none"}
+#: Size of the labels of ticks, in points.
 _SIZE = 9.0
-#: As a fraction of the plot's width.
-_MINOR = 0.006
+#: Digits of ticks without a label: drawing all nine takes a second per report.
+_MINOR = (1, 2, 5)
+#: Largest number of labelled ticks of decades; more would touch each other in the narrower plot.
 _MAX_TICKS = 8
+#: Digits whose ticks are labelled, and the fewest ticks in view; with fewer, the next digits are tried.
+_LABELLED: tuple[tuple[Sequence[int], int], ...] = (((1,), 3), ((1, 2, 5), 2), (range(1, 10), 1))
 
 
 def draw_ticks(axes: "Axes") -> None:
-    """Draw ticks and grid lines for the current limits of the axes."""
-    from matplotlib.collections import LineCollection
-    from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
+    """Set ticks and grid lines of logarithmic axes, whose limits must be final."""
+    from matplotlib.ticker import FuncFormatter, NullFormatter
 
-    marks: list[list[tuple[float, float]]] = []
-    for axis, horizontal in ((axes.xaxis, True), (axes.yaxis, False)):
-        low, high = axis.get_view_interval()
-        major, minor = tick_places(low, high)
-        axis.set_major_locator(FixedLocator(major))
-        axis.set_major_formatter(FixedFormatter([tick_label(place) for place in major]))
-        axis.set_minor_locator(NullLocator())
-        for place in minor:
-            part = math.log(place / low) / math.log(high / low)
-            # The plot is wider than high.
-            marks.append([(part, 0.0), (part, 1.5 * _MINOR)] if horizontal else [(0.0, part), (_MINOR, part)])
-    axes.add_collection(
-        LineCollection(marks, colors=FRAME, linewidths=0.7, transform=axes.transAxes, zorder=1.5),
-        autolim=False,
-    )
+    for axis in (axes.xaxis, axes.yaxis):
+        major, minor = _locators(*axis.get_view_interval())
+        axis.set_major_locator(major)
+        axis.set_major_formatter(FuncFormatter(lambda value, _: tick_label(value)))
+        axis.set_minor_locator(minor)
+        axis.set_minor_formatter(NullFormatter())
     axes.tick_params(labelsize=_SIZE, colors=INK)
+    axes.tick_params(which="minor", color=FRAME)
     axes.grid(visible=True, which="major", color=GRID, linewidth=0.8)
 
 
+def _locators(low: float, high: float) -> "tuple[LogLocator, LogLocator]":
+    """Return the locators of labelled and of minor ticks between two positive limits."""
+    from matplotlib.ticker import LogLocator
+
+    for digits, fewest in _LABELLED:
+        major = LogLocator(subs=digits, numticks=_MAX_TICKS)
+        if len(_in_view(major, low, high)) >= fewest:
+            break
+    return major, LogLocator(subs=_MINOR, numticks=_MAX_TICKS)
+
+
 def tick_places(low: float, high: float) -> tuple[list[float], list[float]]:
-    """Return the positions of labelled and of minor ticks between two positive limits."""
-    decades, inside = _multiples(low, high, (1,)), _multiples(low, high, range(1, 10))
-    if len(decades) >= 3:
-        step = math.ceil(len(decades) / _MAX_TICKS)
-        if step == 1:
-            return decades, inside
-        return [place for place in decades if round(math.log10(place)) % step == 0], decades
-    major = _multiples(low, high, (1, 2, 5))
-    if len(major) >= 2:
-        return major, inside
-    return (inside if len(inside) >= 2 else [low, high]), []
+    """Return the positions of labelled and of minor ticks, for axes that are not logarithmic themselves."""
+    major, minor = _locators(low, high)
+    return _in_view(major, low, high), _in_view(minor, low, high)
 
 
-def _multiples(low: float, high: float, digits: Iterable[int]) -> list[float]:
-    powers = [10.0**e for e in range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)]
-    return [digit * power for power, digit in product(powers, digits) if low <= digit * power <= high]
+def _in_view(locator: "LogLocator", low: float, high: float) -> list[float]:
+    places = [float(place) for place in locator.tick_values(low, high)]
+    return [place for place in places if low <= place <= high]
 
 
 def tick_label(value: float) -> str:
@@ -95,14 +118,6 @@ def tick_label(value: float) -> str:
     factor = round(value / 10.0**exponent, 6)
     power = numbers.ten_to(exponent)
     return power if factor == 1 else f"{factor:g}×{power}"
-
-
-#: Points, for a figure 10 inches wide.
-TITLE_SIZE, LABEL_SIZE, LEGEND_SIZE, SMALL_SIZE = 13.0, 9.5, 9.0, 8.5
-Style: TypeAlias = dict[str, Any]
-LABEL_STYLE: Style = {"fontsize": LABEL_SIZE, "color": INK, "labelpad": 3}
-LEGEND_STYLE: Style = {"fontsize": LEGEND_SIZE, "frameon": False, "labelcolor": INK}
-DOTS: Style = {"marker": "o", "markersize": 4.4, "linestyle": "none"}
 
 
 def new_figure(width: float, height: float, dpi: float = 160) -> "Figure":
@@ -178,6 +193,3 @@ def name_axes(axes: "Axes", reports: list[AxisReport], **style: object) -> None:
     for axis in reports:
         axes.plot([], [], label=axis.axis, **marked(axis.axis, **style))
     axes.legend(loc="upper right", **LEGEND_STYLE)
-
-
-MARKERS = {"x": "o", "y": "s", "z": "^"}

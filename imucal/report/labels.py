@@ -1,29 +1,41 @@
 """Place labels next to their points, inside the plot and without overlap.
 
-Each label takes the cheapest position on circles around its anchor. Positions are in pixels, so the layout of
-the figure must be final.
+Each label takes the cheapest of some hundred boxes around its points. Positions are in pixels, so the layout
+of the figure must be final.
 """
 
-import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from imucal.arrays import FloatArray
+from imucal.arrays import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.backend_bases import RendererBase
     from matplotlib.text import Annotation
 
-#: From the anchor, in points.
-_DISTANCES = (7.0, 14.0, 24.0, 36.0, 50.0, 68.0, 90.0, 115.0, 145.0, 180.0)
+#: Distances between a point and its label, in points.
+_DISTANCES = np.array([7.0, 14.0, 24.0, 36.0, 50.0, 68.0, 90.0, 115.0, 145.0, 180.0])
+#: Directions from a point to its label; of equal places the first is taken.
 _ANGLES = np.deg2rad([45, 315, 135, 225, 90, 270, 0, 180, 22, 338, 158, 202, 67, 293, 113, 247])
+#: Space around a label, and between a label and the frame, in points.
 _PAD = 2.5
-#: Cost of covering another label; leaving the plot costs ten times as much.
+#: Half the size of the mark of a point, in points.
+_MARK = 4.0
+#: Distance between two points of a line, in points; less than the height of a label.
+_STEP = 2.0
+#: Cost of leaving the plot.
+_OUTSIDE = 1e4
+#: Cost of covering another label.
 _TAKEN = 1e3
+#: Cost of a leader that crosses another label or another leader.
+_CROSSED = 100.0
+#: Cost of each point of a leader that a label covers.
+_LEADER = 6.0
+#: Cost of each point of distance.
+_AWAY = 1 / 15
 
 
 class Label(NamedTuple):
@@ -35,171 +47,134 @@ class Label(NamedTuple):
     colour: str
 
 
-class _Box(NamedTuple):
-    x0: float
-    y0: float
-    x1: float
-    y1: float
+class Obstacle(NamedTuple):
+    """A line of the data to avoid; `cost` is that of each covered point."""
 
-    def overlaps(self, other: "_Box") -> bool:
-        return self.x0 < other.x1 and other.x0 < self.x1 and self.y0 < other.y1 and other.y0 < self.y1
-
-    def within(self, frame: "_Box") -> bool:
-        return frame.x0 <= self.x0 and self.x1 <= frame.x1 and frame.y0 <= self.y0 and self.y1 <= frame.y1
-
-    @property
-    def middle(self) -> FloatArray:
-        return np.array([(self.x0 + self.x1) / 2, (self.y0 + self.y1) / 2])
-
-    def grown(self, pad: float) -> "_Box":
-        return _Box(self.x0 - pad, self.y0 - pad, self.x1 + pad, self.y1 + pad)
-
-    def holds(self, points: FloatArray) -> int:
-        x, y = points[:, 0], points[:, 1]
-        return int(np.count_nonzero((x > self.x0) & (x < self.x1) & (y > self.y0) & (y < self.y1)))
+    x: FloatArray
+    y: FloatArray
+    cost: float
 
 
 def place_labels(
-    axes: "Axes",
-    labels: list[Label],
-    *,
-    obstacles: list[tuple[FloatArray, FloatArray, float]],
-    fontsize: float,
+    axes: "Axes", labels: Sequence[Label], *, obstacles: Sequence[Obstacle], fontsize: float
 ) -> list["Annotation"]:
-    """Write `labels` where they cover least; the limits and the position of `axes` must be final.
-
-    `obstacles` are lines to avoid: x and y of the data, and the cost per covered point.
-    """
+    """Write `labels` where they cover least; the limits and the position of `axes` must be final."""
     if not labels:
         return []
     figure = axes.figure.figure
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
-    scale = figure.dpi / 72
-    room = _Room(
-        frame=_Box(*axes.get_window_extent(renderer).extents).grown(-_PAD * scale),
-        scale=scale,
-        points=[(_dense(axes, x, y), cost) for x, y, cost in obstacles],
-    )
+    plot = _Plot(axes, figure.dpi / 72, obstacles)
     anchors = [axes.transData.transform(np.column_stack([label.x, label.y])) for label in labels]
-    room.taken += [_Box(x, y, x, y).grown(4 * scale) for (x, y), *more in anchors if not more]
+    marks = [points[0] for points in anchors if len(points) == 1]
+    plot.boxes += [_grown(np.tile(mark, 2), _MARK * plot.scale) for mark in marks]
     written = []
-    # Labels of lines are more flexible than marks.
+    # Labels with fewer free places come first: those of marks, and of marks near a side.
     pairs = zip(labels, anchors, strict=True)
-    for label, points in sorted(pairs, key=lambda pair: (len(pair[1]) > 1, room.freedom(pair[1]))):
-        anchor, box = room.best(points, _size(axes, label.text, fontsize, renderer))
-        room.take(anchor, box)
-        offset = (box.middle - anchor) / scale
+    for label, points in sorted(pairs, key=lambda pair: (len(pair[1]) > 1, plot.distance_to_side(pair[1]))):
+        anchor, box = plot.place(points, _size(axes, label.text, fontsize, renderer))
         place = axes.transData.inverted().transform(anchor)
-        written.append(_write(axes, label, place, offset, fontsize))
+        written.append(_write(axes, label, place, (_middle(box) - anchor) / plot.scale, fontsize))
     return written
 
 
-_Place: TypeAlias = tuple[float, FloatArray, _Box]
+class _Plot:
+    """The contents of a plot in pixels. A box is x0, y0, x1, y1; boxes have shape (k, 4)."""
 
+    def __init__(self, axes: "Axes", scale: float, obstacles: Sequence[Obstacle]) -> None:
+        self.scale = scale
+        self.frame = _grown(np.array(axes.get_window_extent().extents), -_PAD * scale)
+        self.boxes: list[FloatArray] = []
+        self.leaders: list[tuple[FloatArray, FloatArray]] = []
+        lines = [_dense(axes, obstacle.x, obstacle.y, _STEP * scale) for obstacle in obstacles]
+        self.points = np.concatenate([np.zeros((0, 2)), *lines])
+        costs = [np.full(len(line), each.cost) for line, each in zip(lines, obstacles, strict=True)]
+        self.costs = np.concatenate([np.zeros(0), *costs])
 
-@dataclass(kw_only=True)
-class _Room:
-    frame: _Box
-    scale: float
-    points: list[tuple[FloatArray, float]]
-    taken: list[_Box] = field(default_factory=list)
-    leaders: list[FloatArray] = field(default_factory=list)
+    def distance_to_side(self, points: FloatArray) -> float:
+        left, _, right, _ = self.frame
+        return float(np.minimum(points[:, 0] - left, right - points[:, 0]).min())
 
-    def freedom(self, anchors: FloatArray) -> float:
-        x = anchors[:, 0]
-        return float(np.minimum(x - self.frame.x0, self.frame.x1 - x).min())
-
-    def best(self, anchors: FloatArray, size: tuple[float, float]) -> tuple[FloatArray, _Box]:
-        distances = _DISTANCES if len(anchors) == 1 else _DISTANCES[:4]
-        near = (
-            (distance / 30, anchor, _box_near(anchor, size, distance * self.scale, float(angle)))
-            for anchor in anchors
-            for distance in distances
-            for angle in _ANGLES
+    def place(self, anchors: FloatArray, size: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the anchor and the box of a label, and keep their space free."""
+        points, distances, angles = (
+            grid.ravel() for grid in np.meshgrid(np.arange(len(anchors)), _DISTANCES, _ANGLES, indexing="ij")
         )
-        lowest, anchor, box = self._lowest(near)
-        if lowest >= _TAKEN:
-            farther = self._lowest(self._anywhere(anchors, size))
-            return (anchor, box) if lowest <= farther[0] else farther[1:]
-        return anchor, box
+        anchor = anchors[points]
+        direction = np.column_stack([np.cos(angles), np.sin(angles)])
+        middle = anchor + direction * (distances[:, None] * self.scale + size / 2)
+        boxes = np.hstack([middle - size / 2, middle + size / 2])
+        cost = _AWAY * distances + self._cost(boxes, anchor)
+        best = int(np.argmin(cost))
+        self._keep_free(anchor[best], boxes[best])
+        return anchor[best], boxes[best]
 
-    def _lowest(self, places: Iterable[_Place]) -> _Place:
-        best = (math.inf, np.zeros(2), _Box(0, 0, 0, 0))
-        for cost, anchor, box in places:
-            if cost < best[0] and (total := cost + self._cost(anchor, box)) < best[0]:
-                best = (total, anchor, box)
-        return best
+    def _cost(self, boxes: FloatArray, anchors: FloatArray) -> FloatArray:
+        """Return the cost of each box, shape (k,)."""
+        inside = np.all((boxes[:, :2] >= self.frame[:2]) & (boxes[:, 2:] <= self.frame[2:]), axis=1)
+        cost = np.where(inside, 0.0, _OUTSIDE) + _contain(boxes, self.points) @ self.costs
+        middles = _middle(boxes)
+        for box in self.boxes:
+            overlap = np.all((boxes[:, :2] < box[2:]) & (box[:2] < boxes[:, 2:]), axis=1)
+            cost += _TAKEN * overlap
+            # A leader may start in the box of its own mark.
+            other = ~_contain(box, anchors)
+            for corners in (box, box[[0, 3, 2, 1]]):
+                cost += _CROSSED / 2 * (other & _cross(anchors, middles, corners[:2], corners[2:]))
+        for start, end in self.leaders:
+            cost += _CROSSED * _cross(anchors, middles, start, end)
+        return np.asarray(cost)
 
-    def _anywhere(self, anchors: FloatArray, size: tuple[float, float]) -> Iterator[_Place]:
-        frame = self.frame
-        for x in np.linspace(frame.x0, frame.x1 - size[0], 12):
-            for y in np.linspace(frame.y0, frame.y1 - size[1], 24):
-                box = _Box(x, y, x + size[0], y + size[1])
-                away = np.hypot(anchors[:, 0] - x - size[0] / 2, anchors[:, 1] - y - size[1] / 2)
-                nearest = int(np.argmin(away))
-                yield float(away[nearest]) / 30 / self.scale, anchors[nearest], box
-
-    def take(self, anchor: FloatArray, box: _Box) -> None:
-        self.taken.append(box.grown(_PAD * self.scale))
-        leader = _leader(anchor, box)
-        self.points.append((leader, 6.0))
-        self.leaders.append(leader)
-
-    def _cost(self, anchor: FloatArray, box: _Box) -> float:
-        cost = 10 * _TAKEN * (not box.within(self.frame))
-        cost += _TAKEN * sum(box.overlaps(other) for other in self.taken)
-        if cost:
-            return cost
-        leader = _leader(anchor, box)
-        others = [other for other in self.taken if not other.holds(anchor[None, :])]
-        crossed = sum(other.holds(leader) for other in others)
-        crossed += 2 * sum(_cross(leader, other) for other in self.leaders)
-        return 20.0 * crossed + sum(box.holds(points) * weight for points, weight in self.points)
+    def _keep_free(self, anchor: FloatArray, box: FloatArray) -> None:
+        self.boxes.append(_grown(box, _PAD * self.scale))
+        self.leaders.append((anchor, _middle(box)))
+        leader = np.linspace(anchor, _middle(box), 40)
+        leader = leader[~_contain(box, leader)]
+        self.points = np.concatenate([self.points, leader])
+        self.costs = np.concatenate([self.costs, np.full(len(leader), _LEADER)])
 
 
-def _leader(anchor: FloatArray, box: _Box) -> FloatArray:
-    steps = np.linspace(0, 1, 40)[:, None]
-    line = anchor + steps * (box.middle - anchor)
-    inside = (line[:, 0] > box.x0) & (line[:, 0] < box.x1) & (line[:, 1] > box.y0) & (line[:, 1] < box.y1)
-    return np.asarray(line[~inside], dtype=np.float64)
+def _middle(boxes: FloatArray) -> FloatArray:
+    return np.asarray((boxes[..., :2] + boxes[..., 2:]) / 2)
 
 
-def _cross(one: FloatArray, other: FloatArray) -> bool:
-    """Return whether two straight lines cross, given by points, shape (k, 2)."""
-    if len(one) < 2 or len(other) < 2:
-        return False
-    (a, b), (c, d) = one[[0, -1]], other[[0, -1]]
-
-    def side(p: FloatArray, q: FloatArray, r: FloatArray) -> bool:
-        return bool((q[0] - p[0]) * (r[1] - p[1]) > (q[1] - p[1]) * (r[0] - p[0]))
-
-    return side(a, b, c) != side(a, b, d) and side(c, d, a) != side(c, d, b)
+def _grown(box: FloatArray, pad: float) -> FloatArray:
+    return box + pad * np.array([-1, -1, 1, 1])
 
 
-def _box_near(anchor: FloatArray, size: tuple[float, float], distance: float, angle: float) -> _Box:
-    """Return the box whose nearest edge is `distance` from the anchor, in direction `angle`."""
-    x = anchor[0] + math.cos(angle) * (distance + size[0] / 2)
-    y = anchor[1] + math.sin(angle) * (distance + size[1] / 2)
-    return _Box(x - size[0] / 2, y - size[1] / 2, x + size[0] / 2, y + size[1] / 2)
+def _contain(boxes: FloatArray, points: FloatArray) -> BoolArray:
+    """Return whether boxes, shape (…, 4), contain points, shape (n, 2), as a matrix, shape (…, n)."""
+    x0, y0, x1, y1 = np.moveaxis(boxes[..., None], -2, 0)
+    x, y = points.T
+    return np.asarray((x > x0) & (x < x1) & (y > y0) & (y < y1))
 
 
-def _dense(axes: "Axes", x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the line in pixels, shape (k, 2), so dense that no label fits between two points."""
-    finite = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
-    points = axes.transData.transform(np.column_stack([x[finite], y[finite]]))
+def _cross(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> BoolArray:
+    """Return whether each straight line from `a` to `b`, shape (k, 2), crosses the one from `c` to `d`."""
+
+    def left(p: FloatArray, q: FloatArray, r: FloatArray) -> BoolArray:
+        (px, py), (qx, qy), (rx, ry) = p.T, q.T, r.T
+        return np.asarray((qx - px) * (ry - py) > (qy - py) * (rx - px))
+
+    return np.asarray((left(a, b, c) != left(a, b, d)) & (left(c, d, a) != left(c, d, b)))
+
+
+def _dense(axes: "Axes", x: FloatArray, y: FloatArray, step: float) -> FloatArray:
+    """Return the line in pixels, shape (k, 2), with a point every `step` pixels."""
+    drawn = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
+    points = np.asarray(axes.transData.transform(np.column_stack([x[drawn], y[drawn]])))
     if len(points) < 2:
-        return np.asarray(points, dtype=np.float64).reshape(-1, 2)
-    steps = np.hypot(*np.diff(points, axis=0).T)
-    along = np.concatenate([[0.0], np.cumsum(steps)])
-    fine = np.linspace(0, along[-1], min(2000, max(2, int(along[-1] / 4))))
+        return points.reshape(-1, 2)
+    lengths = np.hypot(*np.diff(points, axis=0).T)
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    fine = np.linspace(0, along[-1], min(2000, max(2, int(along[-1] / step))))
     return np.column_stack([np.interp(fine, along, points[:, 0]), np.interp(fine, along, points[:, 1])])
 
 
-def _size(axes: "Axes", text: str, fontsize: float, renderer: "RendererBase") -> tuple[float, float]:
+def _size(axes: "Axes", text: str, fontsize: float, renderer: "RendererBase") -> FloatArray:
     trial = axes.text(0.5, 0.5, text, fontsize=fontsize, transform=axes.transAxes)
     extent = trial.get_window_extent(renderer)
     trial.remove()
-    return extent.width, extent.height
+    return np.array([extent.width, extent.height])
 
 
 def _write(

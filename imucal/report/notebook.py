@@ -11,7 +11,6 @@ from imucal.report import numbers
 from imucal.report.markup import Markup, render
 from imucal.report.result import AxisReport, Report
 from imucal.report.view import Row, View, view, views
-from imucal.units import duration
 
 if TYPE_CHECKING:
     import polars as pl
@@ -39,7 +38,7 @@ def _lines(value: Displayed) -> Iterator[str]:
             yield f"Allan curve ({value.estimator}) of {value.n} samples: {tau.size} deviations"
             yield f"tau {tau[0]:.4g} to {tau[-1]:.4g} s, minimum {adev:.4g} at {numbers.seconds(at)}"
         case NoiseFit():
-            seen = view({"": value})
+            (seen,) = _views_of(value)
             name, model = str(seen.sensor or "curve").capitalize(), str(value.model) or "no term detected"
             yield f"{name}: {model} ({value.method}, {100 * value.level:.4g} % intervals)"
             yield from (f"{key:7} {text}" for key, text in _cells(seen.rows[:11], 0))
@@ -61,7 +60,7 @@ def _recording_lines(recording: Recording) -> Iterator[str]:
 
 
 def _axis_report_lines(axis: AxisReport) -> Iterator[str]:
-    length = f"{duration(axis.duration_s)} at {axis.rate_hz:.6g} Hz"
+    length = numbers.recorded(axis.duration_s, axis.rate_hz)
     yield f"{axis.name} in {axis.unit}: {length}, {axis.samples} samples"
     yield from list(_lines(axis.fit))[: _LINES - 1]
 
@@ -91,7 +90,7 @@ def _axes_of(recording: Recording) -> list[_Clock]:
 def _axis_row(series: AxisSeries) -> _Clock:
     clock = series.clock
     gaps = f"{len(clock.gaps)} gap{'s' if len(clock.gaps) > 1 else ''}, {clock.missing} missing"
-    length = f"{duration(clock.duration_s)} at {clock.rate_hz:.6g} Hz"
+    length = numbers.recorded(clock.duration_s, clock.rate_hz)
     return str(series.sensor), series.name, length, f"{clock.n} samples", gaps if clock.gaps else "no gaps"
 
 
@@ -115,13 +114,9 @@ def _tables(value: Displayed) -> dict[str, Any]:
                 rows = [*rows[: _MAX_ROWS - 3], ("…", ("…",) * 4), *rows[-3:]]
             titles = ("τ (s)", "m", "deviation", "low (95 %)", "high (95 %)")
             return {"caption": "; ".join([caption, *more]), "titles": titles, "rows": rows}
-        case NoiseFit():
-            return {"caption": caption, "views": [view({"": value})]}
-        case AxisReport():
-            return {"caption": caption, "views": [view({value.axis: value})]}
         case Report():
             return {"caption": value.verdict.sentence, "views": views(value)}
-    raise TypeError(type(value).__name__)
+    return {"caption": caption, "views": _views_of(value)}
 
 
 def frame_of(value: Displayed) -> "pl.DataFrame":
@@ -143,12 +138,18 @@ def frame_of(value: Displayed) -> "pl.DataFrame":
             low, high = value.confidence_interval()
             columns = {"tau_s": value.tau, "m": value.m, "adev": value.adev, "low": low, "high": high}
             return pl.DataFrame({**columns, "edf": value.edf})
+    frame = _frame(_views_of(value))
+    return frame.drop("axis") if isinstance(value, NoiseFit) else frame
+
+
+def _views_of(value: Displayed) -> tuple[View, ...]:
+    match value:
         case NoiseFit():
-            return _frame([view({"": value})]).drop("axis")
+            return (view({"": value}),)
         case AxisReport():
-            return _frame([view({value.axis: value})])
+            return (view({value.axis: value}),)
         case Report():
-            return _frame(views(value))
+            return views(value)
     raise TypeError(type(value).__name__)
 
 

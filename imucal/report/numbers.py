@@ -15,7 +15,7 @@ from imucal.fitting.noise_fit import Estimate, Interval, NoiseFit
 from imucal.noise.terms import TERMS, GaussMarkov
 from imucal.prediction import DriftPoint
 from imucal.recording import Sensor
-from imucal.units import DATASHEET_UNITS, DatasheetUnit, pretty
+from imucal.units import DATASHEET_UNITS, DatasheetUnit, duration, pretty
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 #: At a larger ratio of the sides, the interval is printed instead of a symmetric uncertainty.
@@ -150,6 +150,11 @@ def alternatives(estimate: Estimate) -> str:
 def seconds(value: float) -> str:
     """Return a time with three digits and no exponent, such as ``2620 s``."""
     return f"{float(f'{value:.3g}'):.10g} s"
+
+
+def recorded(duration_s: float, rate_hz: float) -> str:
+    """Return ``12 min at 50 Hz``."""
+    return f"{duration(duration_s)} at {rate_hz:.6g} Hz"
 
 
 def decimals(quantity: Quantity) -> int:

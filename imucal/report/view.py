@@ -1,6 +1,5 @@
 """One view of results for all outputs: rows with a cell for each axis, in data-sheet units and in SI."""
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -12,18 +11,18 @@ from imucal.report import numbers
 from imucal.report.numbers import Quantity, SheetUnits, sheet_units
 from imucal.report.result import AxisReport, Report
 
-__all__ = ["ROWS", "Cell", "Column", "Row", "Shown", "Subject", "View", "ordered_keys", "view", "views"]
+__all__ = [
+    "ROWS", "Cell", "Column", "Row", "Shown", "Subject", "View", "ordered_keys", "term_name", "view", "views",
+]  # fmt: skip
 
 Subject: TypeAlias = AxisReport | NoiseFit
 
-
-@dataclass(frozen=True, kw_only=True)
-class Cell:
-    """A quantity of one axis; `note` names another term that fits as well, or the time of the minimum."""
-
-    sheet: Quantity
-    si: Quantity
-    note: str = ""
+#: B in results. Its usual name, bias instability, is left to the minimum, because data sheets mean that.
+_FLICKER_NAME = "flicker noise"
+#: What B is, next to the minimum.
+_FLICKER_REMARK = "coefficient of the fit; floor 0.664 B"
+#: What the minimum is, next to B.
+_MINIMUM_REMARK = "data sheets call it bias instability"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +39,24 @@ class Shown:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Cell:
+    """A quantity of one axis; `note` names another term that fits as well, or the time of the minimum."""
+
+    sheet: Quantity
+    si: Quantity
+    note: str = ""
+
+    def quantity(self, *, datasheet: bool) -> Quantity:
+        return self.sheet if datasheet else self.si
+
+    def shown(self, exponent: int, *, datasheet: bool) -> Shown:
+        """Return the texts of the quantity over ``10**exponent``."""
+        quantity = self.quantity(datasheet=datasheet)
+        value, interval = numbers.compact(quantity, exponent=exponent)
+        return Shown(value=value, interval=interval, note=self.note, bounded=quantity.value is None)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Column:
     """A row in one convention; values are multiples of ``10**exponent`` units."""
 
@@ -53,34 +70,29 @@ class Row:
     """A quantity on every axis of a view; None if an axis does not have it.
 
     `key`, `symbol` and `name` are, for example, ``GM1``, ``GM`` and ``Gauss-Markov``; ``GM1 T`` and
-    ``minimum`` have no symbol. Rows are sorted by `place`.
+    ``minimum`` have no symbol. `remark` explains the quantity. Rows are sorted by `place`.
     """
 
     key: str
     symbol: str
     name: str
     cells: tuple[Cell | None, ...]
+    remark: str = ""
     place: float = len(TERMS)
 
     def column(self, *, datasheet: bool) -> Column:
         """Return the texts, which share one power of ten."""
-        cells = [(cell.sheet if datasheet else cell.si, cell.note) if cell else None for cell in self.cells]
-        quantities = [cell[0] for cell in cells if cell]
-        exponent = numbers.engineering_exponent(quantities)
+        cells = [cell for cell in self.cells if cell]
+        exponent = numbers.engineering_exponent(cell.quantity(datasheet=datasheet) for cell in cells)
         return Column(
-            unit=quantities[0].unit,
+            unit=cells[0].quantity(datasheet=datasheet).unit,
             exponent=exponent,
-            texts=tuple(_shown(*cell, exponent) if cell else None for cell in cells),
+            texts=tuple(cell.shown(exponent, datasheet=datasheet) if cell else None for cell in self.cells),
         )
 
     @property
     def columns(self) -> tuple[Column, Column]:
         return self.column(datasheet=True), self.column(datasheet=False)
-
-
-def _shown(quantity: Quantity, note: str, exponent: int) -> Shown:
-    value, interval = numbers.compact(quantity, exponent=exponent)
-    return Shown(value=value, interval=interval, note=note, bounded=quantity.value is None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,17 +113,12 @@ def views(report: Report) -> tuple[View, ...]:
 
 def view(subjects: Mapping[str, Subject]) -> View:
     """Return the view of at least one axis or fit of a sensor, by the names of the columns."""
-    found = tuple(subjects.values())
-    fits = tuple(map(_fit_of, found))
+    values = tuple(subjects.values())
+    fits = _fits(values)
     units = sheet_units(fits)
-    rows = [row for make in ROWS for row in make(found, units)]
-    return View(
-        sensor=fits[0].sensor,
-        names=tuple(subjects),
-        fits=fits,
-        units=units,
-        rows=tuple(sorted(rows, key=lambda row: row.place)),
-    )
+    rows = [row for make in ROWS for row in make(values, units)]
+    rows.sort(key=lambda row: row.place)
+    return View(sensor=fits[0].sensor, names=tuple(subjects), fits=fits, units=units, rows=tuple(rows))
 
 
 def ordered_keys(seen: Sequence[View]) -> list[str]:
@@ -120,48 +127,65 @@ def ordered_keys(seen: Sequence[View]) -> list[str]:
     return sorted(places, key=lambda key: (places[key], key))
 
 
-def _fit_of(subject: Subject) -> NoiseFit:
-    return subject.fit if isinstance(subject, AxisReport) else subject
+def term_name(symbol: str, sensor: Sensor | None) -> str:
+    """Return the name of a term in results; its meaning if the sensor is unknown."""
+    return _FLICKER_NAME if symbol == "B" else numbers.term_name(symbol, sensor)
+
+
+def _fits(subjects: Sequence[Subject]) -> tuple[NoiseFit, ...]:
+    return tuple(subject.fit if isinstance(subject, AxisReport) else subject for subject in subjects)
 
 
 def _terms(subjects: Sequence[Subject], units: SheetUnits) -> Iterator[Row]:
     """Yield the rows of the terms, each Gauss-Markov term with its correlation time."""
-    fits = tuple(map(_fit_of, subjects))
+    fits = _fits(subjects)
     sensor = fits[0].sensor
-    symbols = {estimate.key: estimate.symbol for fit in fits for estimate in fit.estimates}
+    estimates = [{estimate.key: estimate for estimate in fit.estimates} for fit in fits]
+    symbols = {key: estimate.symbol for of_fit in estimates for key, estimate in of_fit.items()}
     for key in sorted(symbols):
-        place = list(TERMS).index(symbols[key])
-        found = [next((e for e in fit.estimates if e.key == key), None) for fit in fits]
-        cells = (
-            Cell(sheet=units.estimate(e, sensor), si=numbers.si(e, sensor), note=numbers.alternatives(e))
-            if e
-            else None
-            for e in found
+        symbol = symbols[key]
+        place = list(TERMS).index(symbol)
+        row = [of_fit.get(key) for of_fit in estimates]
+        yield Row(
+            key=key,
+            symbol=symbol,
+            name=term_name(symbol, sensor),
+            cells=tuple(_coefficient(estimate, sensor, units) if estimate else None for estimate in row),
+            remark=_FLICKER_REMARK if symbol == "B" else "",
+            place=place,
         )
-        name = numbers.term_name(symbols[key], sensor)
-        yield Row(key=key, symbol=symbols[key], name=name, cells=tuple(cells), place=place)
-        times = tuple(_time(estimate) for estimate in found)
+        times = tuple(_time(estimate) if estimate else None for estimate in row)
         if any(times):
             yield Row(key=f"{key} T", symbol="", name="correlation time", cells=times, place=place)
 
 
-def _minimum(subjects: Sequence[Subject], units: SheetUnits) -> Iterator[Row]:
-    cells = tuple(
-        Cell(
-            sheet=units.minimum(fit),
-            si=numbers.minimum(fit),
-            note=f"at {numbers.seconds(fit.curve.minimum[1])}",
-        )
-        for fit in map(_fit_of, subjects)
-    )
-    yield Row(key="minimum", symbol="", name="of the curve", cells=cells, place=math.inf)
+def _coefficient(estimate: Estimate, sensor: Sensor | None, units: SheetUnits) -> Cell:
+    note = numbers.alternatives(estimate)
+    return Cell(sheet=units.estimate(estimate, sensor), si=numbers.si(estimate, sensor), note=note)
 
 
-def _time(estimate: Estimate | None) -> Cell | None:
-    if estimate is None or estimate.correlation_time is None:
+def _time(estimate: Estimate) -> Cell | None:
+    if estimate.correlation_time is None:
         return None
     time = numbers.correlation_time(estimate.correlation_time)
     return Cell(sheet=time, si=time)
 
 
+def _minimum(subjects: Sequence[Subject], units: SheetUnits) -> Iterator[Row]:
+    cells = []
+    for fit in _fits(subjects):
+        note = f"at {numbers.seconds(fit.curve.minimum[1])}"
+        cells.append(Cell(sheet=units.minimum(fit), si=numbers.minimum(fit), note=note))
+    yield Row(
+        key="minimum",
+        symbol="",
+        name="of the curve",
+        cells=tuple(cells),
+        remark=_MINIMUM_REMARK,
+        # Just above the row of B, so that nobody mistakes one for the other.
+        place=list(TERMS).index("B") - 0.5,
+    )
+
+
+#: The functions that make the rows.
 ROWS: list[Callable[[Sequence[Subject], SheetUnits], Iterator[Row]]] = [_terms, _minimum]

@@ -105,16 +105,16 @@ def _contents(
     failures = tuple(drawings.failures)
     report = report.with_findings(failures)
     if html:
-        from imucal.report import html_page
+        from imucal.report import page
 
-        page, failed = try_side_work(
-            lambda: html_page.render_page(report, drawings=drawings).encode(),
+        text, failed = try_side_work(
+            lambda: page.render_page(report, drawings=drawings).encode(),
             None,
             what="report.html was left out",
             code="not-drawn",
         )
-        if page is not None:
-            contents["report.html"] = page
+        if text is not None:
+            contents["report.html"] = text
         report = report.with_findings(failed)
         failures += failed
     contents[SIGNAL_FILE] = dumps(signal_document(report)).encode()

@@ -28,17 +28,19 @@ def test_both_sensors_are_side_by_side() -> None:
         "x  0.4125  [0.4109, 0.4141]              x  0.06600  [0.06574, 0.06626]",
         "y  0.4469  [0.4452, 0.4487]              y  0.07800  [0.07770, 0.07831]",
         "",
-        "B  bias instability  deg/h               B  bias instability  µg",
+        "minimum of the curve  deg/h              minimum of the curve  µg",
+        "(data sheets call it bias instability)   (data sheets call it bias instability)",
+        "x  3.6  [2.8, 5.0]  at 328 s             x  19  [10, 110]  at 2620 s",
+        "y  1.8  [1.1, 4.4]  at 1310 s            y  17  [9, 100]  at 2620 s",
+        "",
+        "B  flicker noise  deg/h                  B  flicker noise  µg",
+        "(coefficient of the fit; floor 0.664 B)  (coefficient of the fit; floor 0.664 B)",
         "x  4.95  [4.76, 5.14]                    x  29.6  [28.5, 30.7]",
         "y  4.33  [4.17, 4.50]                    y  25.5  [24.5, 26.5]",
         "",
         "K  rate random walk  deg/h/√h            K  accel. random walk  m/s²/√h",
         "x  13.6   [11.8, 15.7]                   x  0.00054    [0.00047, 0.00062]",
         "y  < 5.1                                 y  < 0.00030",
-        "",
-        "minimum of the curve  deg/h              minimum of the curve  µg",
-        "x  3.6  [2.8, 5.0]  at 328 s             x  19  [10, 110]  at 2620 s",
-        "y  1.8  [1.1, 4.4]  at 1310 s            y  17  [9, 100]  at 2620 s",
         "",
         "[low, high]: 95 % interval; < high: not detected, upper bound",
     ]
@@ -59,6 +61,15 @@ def test_it_fits_80_columns_and_the_encoding(make: object, *, datasheet: bool, e
     if encoding != "utf-8":
         text.encode("ascii")
         assert "sqrt(" in text
+
+
+def test_in_40_columns_the_sensors_are_one_below_the_other() -> None:
+    """Remarks and the unit of a row are not longer than the column either."""
+    for datasheet in (True, False):
+        text = summary_table(consumer_report(), datasheet=datasheet, encoding="utf-8", columns=40)
+        assert max(len(line) for line in text.splitlines()) <= 40
+        assert text.count("(data sheets call it bias instability)\n") == 2
+        assert text.index("GYROSCOPE") < text.index("K  rate") < text.index("ACCELEROMETER")
 
 
 def test_si_units_share_a_power_of_ten() -> None:

@@ -23,7 +23,7 @@ from imucal.planning import plan
 from imucal.recording import AxisSeries, Sensor
 from imucal.report.figure_curves import estimate_text
 from imucal.report.numbers import sheet_units
-from imucal.report.page_parts import glossary_section
+from imucal.report.page import glossary_section
 from tests.noise.contract import missing
 from tests.report.synthetic import consumer_report
 

@@ -2,7 +2,7 @@
 
 import functools
 
-from imucal.report.html_page import render_page
+from imucal.report.page import render_page
 from tests.report.synthetic import consumer_report, small_report
 
 __all__ = ["consumer_page", "small_page"]

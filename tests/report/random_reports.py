@@ -15,7 +15,7 @@ from imucal.noise.model import NoiseModel
 from imucal.noise.terms import ALWAYS, TERMS, term_keys
 from imucal.recording import Axis, Sensor
 from imucal.report.figure import draw, picture_names
-from imucal.report.html_page import render_page
+from imucal.report.page import render_page
 from imucal.report.result import AxisReport, Report
 from tests.report.synthetic import axis_report, consumer_report
 

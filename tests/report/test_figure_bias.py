@@ -25,7 +25,7 @@ def test_each_part_has_its_panel() -> None:
     top, *parts = figure.axes
     assert top.get_ylabel() == "bias minus its mean (deg/h)"
     assert [axes.texts[0].get_text() for axes in parts] == [
-        "B  bias instability", "K  rate random walk, minus its mean", "R  rate ramp",
+        "B  flicker noise", "K  rate random walk, minus its mean", "R  rate ramp",
     ]  # fmt: skip
     assert parts[-1].get_xlabel() == "time (s)"
     assert len(bias_figure(_parts("N=1e-3 + B=5e-4")).axes) == 1

@@ -23,7 +23,8 @@ from imucal.fitting.noise_fit import Line, Response
 from imucal.recording import Sensor
 from imucal.report.exports import TARGETS, ExportOptions, render
 from imucal.report.figure import axis_figure, sensor_figure
-from imucal.report.html_page import page_data, render_page
+from imucal.report.page import render_page
+from imucal.report.plot_data import page_data
 from imucal.report.result import Report
 from tests.report.synthetic import axis_report, consumer_report, shortest_report
 

@@ -13,9 +13,8 @@ from imucal.checking.verdict import measure
 from imucal.comparison import compare
 from imucal.fitting.homogeneity import homogeneity, widened
 from imucal.fitting.noise_fit import Segments, Trace
-from imucal.report.html_page import render_page
 from imucal.report.json_file import from_document, schema, to_document
-from imucal.report.page_parts import segments_figure
+from imucal.report.page import render_page, segments_figure
 from imucal.report.result import AxisReport, Report
 from imucal.report.typed_json import dumps
 from tests.report.pages import small_page

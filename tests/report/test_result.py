@@ -10,8 +10,8 @@ from imucal.prediction.filter_numbers import filter_numbers
 from imucal.recording import AxisSeries, Sensor
 from imucal.report.exports import TARGETS
 from imucal.report.exports.config_numbers import DEFAULT_OPTIONS
-from imucal.report.html_page import render_page
 from imucal.report.json_file import to_document
+from imucal.report.page import render_page
 from imucal.report.result import Overview
 from tests.report.synthetic import consumer_report
 

@@ -7,8 +7,8 @@ import pytest
 
 from imucal.allan.dct import Spectrum
 from imucal.noise.model import NoiseModel
-from imucal.report.figure_curves import smooth_spectrum
 from imucal.report.result import AxisReport
+from imucal.report.smooth_spectrum import smooth_spectrum
 from tests.report.synthetic import consumer_report
 
 RATE = 200.0

@@ -12,9 +12,9 @@ from imucal.cli._result_table import summary_table
 from imucal.noise.terms import ALWAYS, TERMS
 from imucal.recording import Axis, Sensor
 from imucal.report.figure import Drawings, sensor_figure
-from imucal.report.html_page import render_page
 from imucal.report.notebook import frame_of, html_of
 from imucal.report.numbers import Quantity, SheetUnits
+from imucal.report.page import render_page
 from imucal.report.result import AxisReport, Report
 from imucal.report.view import ROWS, Cell, Row, Subject, view, views
 from tests.report.random_reports import STATES, axis_of, random_report, report_of
@@ -65,7 +65,7 @@ def test_rows_contain_both_units() -> None:
     """N of gyro x is 1.2e-4 rad/s/√Hz. A term of z alone is None for other axes; bounds have no interval."""
     seen = views(consumer_report())[0]
     rows = {row.key: row for row in seen.rows}
-    assert list(rows) == ["N", "B", "GM1", "GM1 T", "GM2", "GM2 T", "K", "minimum"]
+    assert list(rows) == ["N", "minimum", "B", "GM1", "GM1 T", "GM2", "GM2 T", "K"]
     sheet, plain = rows["N"].columns
     assert [str(text) for text in sheet.texts][:1] == ["0.4125  [0.4109, 0.4141]"]
     assert (plain.unit, plain.exponent) == ("rad/s/sqrt(Hz)", -6)
@@ -73,6 +73,20 @@ def test_rows_contain_both_units() -> None:
     bound = rows["K"].column(datasheet=True).texts[1]
     assert bound is not None
     assert (bound.value, bound.interval, bound.bounded) == ("< 5.1", "", True)
+
+
+def test_bias_instability_is_the_minimum_and_b_is_flicker_noise() -> None:
+    """The two rows follow each other in every output, because they are often mistaken for each other."""
+    report = consumer_report()
+    outputs = [
+        summary_table(report, datasheet=True, encoding="utf-8"),
+        _page(report).xpath("//table[@class='summary']")[0].text_content(),
+        html.fromstring(html_of(report)).text_content(),
+    ]
+    for text in outputs:
+        words = ["data sheets call it bias instability", "flicker noise", "floor 0.664 B"]
+        places = [text.index(word) for word in words]
+        assert places == sorted(places)
 
 
 def test_a_fit_of_an_unknown_sensor_has_a_view() -> None:
@@ -99,9 +113,9 @@ def test_a_new_row_is_shown_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("imucal.report.view.ROWS", [means, *ROWS])
     report = consumer_report()
     axis, keys = report.axes[0], [row.key for row in views(report)[0].rows]
-    assert keys[-2:] == ["mean", "minimum"]
+    assert keys[-1] == "mean"
     printed = summary_table(report, datasheet=True, forced=True, encoding="utf-8")
-    assert printed.index("mean  of the samples") < printed.index("minimum of the curve")
+    assert printed.index("minimum of the curve") < printed.index("mean  of the samples")
     page = _page(report)
     assert page.xpath("//table[@class='summary']//th[b = 'mean']")
     for value in (report, axis):

@@ -1,11 +1,8 @@
-"""`report.html`: one page that contains everything and opens without a network."""
+"""The data of the page's interactive plots, as JSON in SI: curve, model, terms, spectrum and raw signal."""
 
-import base64
 import json
 import math
-from collections.abc import Callable, Iterator
-from functools import partial
-from importlib.resources import files
+import warnings
 
 import numpy as np
 
@@ -13,22 +10,22 @@ from imucal.arrays import FloatArray
 from imucal.fitting.noise_fit import Estimate
 from imucal.noise.terms import TERMS
 from imucal.recording import Sensor
-from imucal.report import figure, numbers, page_parts
+from imucal.report import numbers
+from imucal.report.figure import units_of
 from imucal.report.figure_curves import (
     drawn_terms,
     estimate_text,
     shown_points,
     smooth_adev,
     smooth_root,
-    smooth_spectrum,
 )
 from imucal.report.figure_style import DATA, LEFT_OUT, MODEL, UNUSED
-from imucal.report.markup import Markup, render
 from imucal.report.numbers import SheetUnits
 from imucal.report.result import AxisReport, Overview, Report
+from imucal.report.smooth_spectrum import smooth_spectrum
 from imucal.report.typed_json import JsonObject, to_json
-from imucal.side_work import try_side_work
-from imucal.units import duration, pretty
+from imucal.report.view import term_name
+from imucal.units import pretty
 
 #: Points of a smooth line.
 _FINE = 60
@@ -36,6 +33,7 @@ _FINE = 60
 _MERGED = 1 / 500
 #: Least distance of an outlier, in robust deviations.
 _STANDS_OUT = 8.0
+#: Number of neighbours in a running median; odd.
 _NEIGHBOURS = 25
 
 
@@ -49,7 +47,7 @@ def page_data(report: Report) -> str:
             "unused": [UNUSED, "#5d6873"],
             "line": [LEFT_OUT, "#ff7b86"],
         },
-        "axes": {axis.name: _axis(axis, figure.units_of(report, axis.sensor)) for axis in report.axes},
+        "axes": {axis.name: _axis(axis, units_of(report, axis.sensor)) for axis in report.axes},
     }
     text = json.dumps(document, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
     return text.replace("<", "\\u003c")
@@ -77,10 +75,10 @@ def _running_median(values: FloatArray) -> FloatArray:
     half = _NEIGHBOURS // 2
     padded = np.pad(values, half, mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, _NEIGHBOURS)
-    filled = np.where(np.isfinite(windows), windows, np.inf)
-    middle = np.sort(filled, axis=1)
-    count = np.isfinite(windows).sum(axis=1)
-    return np.where(count > 0, middle[np.arange(values.size), np.maximum(count - 1, 0) // 2], np.nan)
+    with warnings.catch_warnings():
+        # In a long gap all neighbours are NaN.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return np.asarray(np.nanmedian(windows, axis=1))
 
 
 def _axis(axis: AxisReport, units: SheetUnits) -> JsonObject:
@@ -144,7 +142,7 @@ def _fine(axis: AxisReport, units: SheetUnits) -> JsonObject:
             {
                 "key": estimate.key,
                 "symbol": estimate.symbol,
-                "name": TERMS[estimate.symbol].name(axis.sensor),
+                "name": term_name(estimate.symbol, axis.sensor),
                 "bounded": drawn.bounded,
                 "si": numbers.with_interval(numbers.si(estimate, axis.sensor)),
                 "sheet": numbers.with_interval(units.estimate(estimate, axis.sensor)),
@@ -192,49 +190,3 @@ def _fixed(values: FloatArray, std: float) -> list[float | None]:
     """Return numbers rounded to about a hundredth of `std`, because the mean may be large."""
     places = 9 if not (math.isfinite(std) and std > 0) else min(15, max(0, 2 - math.floor(math.log10(std))))
     return [round(value, places) if math.isfinite(value) else None for value in values.tolist()]
-
-
-def render_page(report: Report, *, drawings: figure.Drawings | None = None) -> str:
-    """Return the page; the same report always gives the same text."""
-    pictures = (drawings or figure.draw(report, ("png",))).addresses
-    drifts = "Effect on a filter"
-    makers: list[tuple[str, str, Callable[[], Markup | None]]] = [
-        ("summary", "Summary", lambda: page_parts.summary_section(report, pictures)),
-        ("findings", "Findings", lambda: page_parts.findings_section(report)),
-        ("drift", drifts, lambda: page_parts.drift_section(report)),
-        ("downstream", "Numbers for your program", lambda: page_parts.downstream_section(report)),
-        *(
-            (axis.name, figure.axis_title(axis), partial(page_parts.axis_section, report, axis, pictures))
-            for axis in report.axes
-        ),
-        ("terms", "Terms", page_parts.glossary_section),
-        ("method", "Method", lambda: page_parts.method_section(report)),
-    ]
-    made = [(anchor, title, _made(make, title)) for anchor, title, make in makers]
-    packed = files("imucal.report").joinpath("plotly", "plotly-basic.min.js.zlib")
-    return render(
-        "report.html",
-        title=f"{report.source.name} – IMU noise report",
-        heading=report.source.name,
-        grade=report.verdict.grade,
-        sentence=report.verdict.sentence,
-        lead=" · ".join(dict.fromkeys(_recorded(report))) or "No axis could be analysed.",
-        sections=[section for section in made if section[2]],
-        folded=(*(axis.name for axis in report.axes), "terms", "method"),
-        version=report.version,
-        data=Markup(page_data(report)),
-        plotly=Markup(base64.b64encode(packed.read_bytes()).decode("ascii")),
-    )
-
-
-def _recorded(report: Report) -> Iterator[str]:
-    for axis in report.axes:
-        yield f"{axis.sensor}: {duration(axis.duration_s)} at {axis.rate_hz:.6g} Hz"
-    if (read := report.source.read) is not None and read.from_s > 0:
-        yield f"times start at {read.from_s:.10g} s of the log"
-
-
-def _made(make: Callable[[], Markup | None], title: str) -> Markup | None:
-    """Return a section, or a notice that explains why it is missing."""
-    body, failed = try_side_work(make, None, what=f"This section is missing: {title}", code="not-drawn")
-    return Markup('<p class="notice">{}</p>').format(failed[0].text) if failed else body

@@ -22,9 +22,15 @@ from imucal.prediction import filter_numbers
 from imucal.recording import Sensor
 from imucal.report.exports import TARGETS
 from imucal.report.figure_curves import estimate_text
-from imucal.report.html_page import page_data, render_page, standing_out
 from imucal.report.numbers import scientific, sheet_units, with_interval
-from imucal.report.page_parts import axis_section, findings_section, method_section, summary_section
+from imucal.report.page import (
+    axis_section,
+    findings_section,
+    method_section,
+    render_page,
+    summary_section,
+)
+from imucal.report.plot_data import page_data, standing_out
 from imucal.report.result import AxisReport, Overview, Report
 from tests.report.browser import Browser
 from tests.report.pages import consumer_page, small_page

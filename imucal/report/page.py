@@ -1,15 +1,18 @@
-"""The sections of the page, in data-sheet units and in SI; the page shows one or the other."""
+"""`report.html`: one page that contains everything and opens without a network.
 
+Values are in data-sheet units and in SI; the page shows one or the other.
+"""
+
+import base64
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
-from itertools import count
+from importlib.resources import files
 from typing import TypeAlias
 
 import numpy as np
-from markupsafe import Markup
 
 from imucal.arrays import FloatArray
 from imucal.errors import DataError
@@ -18,23 +21,92 @@ from imucal.fitting.noise_fit import Estimate, NoiseFit, Segments, Trace
 from imucal.noise.terms import TERMS
 from imucal.prediction import drift
 from imucal.recording import Sensor
-from imucal.report import numbers
+from imucal.report import figure, numbers
 from imucal.report.exports import TARGETS
 from imucal.report.exports.config_numbers import DEFAULT_OPTIONS, Numbers
 from imucal.report.exports.target import FORMULAS, itself, price
 from imucal.report.figure import axis_title, units_of
 from imucal.report.figure_curves import shown_points
-from imucal.report.markup import both_units, render
+from imucal.report.markup import Markup, both_units, render
 from imucal.report.numbers import SheetUnits
+from imucal.report.plot_data import page_data
 from imucal.report.result import AxisReport, Report
 from imucal.report.view import View, views
-from imucal.units import DatasheetUnit, duration, pretty
+from imucal.side_work import try_side_work
+from imucal.units import DatasheetUnit, duration, pretty, time_unit
 
 _Row: TypeAlias = tuple[str, list[str]]
 #: Findings are grouped by level, code, advice and the part of the log to keep.
 _Kind: TypeAlias = tuple[str, str, str, tuple[float, float] | None]
+#: Level of a finding -> heading of its list.
 _HEADINGS = {"error": "Errors", "warning": "Warnings", "info": "Notes"}
+#: A cell without a value.
 _NOTHING = "–"
+#: Width of the SVG, in its own units.
+_WIDTH = 640
+#: Height of a row, in units of the SVG.
+_ROW = 86
+#: Space for the percentages, in units of the SVG.
+_LEFT = 56
+#: Space right of the last segment, in units of the SVG.
+_RIGHT = 12
+#: Space for the name of a row, in units of the SVG.
+_TOP = 24
+#: Space for the times, in units of the SVG.
+_BOTTOM = 22
+#: Least half-height of a row, as a logarithm: smaller changes look like none.
+_MIN_HEIGHT = 0.02
+#: Largest half-height of a row, as a ratio.
+_MAX_HEIGHT = 4.0
+#: Most intervals between the times.
+_MARKS = 6
+#: Percentages of ticks; the largest below the half-height of a row is used.
+_PERCENTAGES = (200, 100, 50, 20, 10, 5, 2, 1, 0.5)
+
+
+def render_page(report: Report, *, drawings: figure.Drawings | None = None) -> str:
+    """Return the page; the same report always gives the same text."""
+    pictures = (drawings or figure.draw(report, ("png",))).addresses
+    makers: list[tuple[str, str, Callable[[], Markup | None]]] = [
+        ("summary", "Summary", lambda: summary_section(report, pictures)),
+        ("findings", "Findings", lambda: findings_section(report)),
+        ("drift", "Effect on a filter", lambda: drift_section(report)),
+        ("downstream", "Numbers for your program", lambda: downstream_section(report)),
+        *(
+            (axis.name, axis_title(axis), partial(axis_section, report, axis, pictures))
+            for axis in report.axes
+        ),
+        ("terms", "Terms", glossary_section),
+        ("method", "Method", lambda: method_section(report)),
+    ]
+    made = [(anchor, title, _made(make, title)) for anchor, title, make in makers]
+    packed = files("imucal.report").joinpath("plotly", "plotly-basic.min.js.zlib")
+    return render(
+        "report.html",
+        title=f"{report.source.name} – IMU noise report",
+        heading=report.source.name,
+        grade=report.verdict.grade,
+        sentence=report.verdict.sentence,
+        lead=" · ".join(dict.fromkeys(_recorded(report))) or "No axis could be analysed.",
+        sections=[section for section in made if section[2]],
+        folded=(*(axis.name for axis in report.axes), "terms", "method"),
+        version=report.version,
+        data=Markup(page_data(report)),
+        plotly=Markup(base64.b64encode(packed.read_bytes()).decode("ascii")),
+    )
+
+
+def _recorded(report: Report) -> Iterator[str]:
+    for axis in report.axes:
+        yield f"{axis.sensor}: {numbers.recorded(axis.duration_s, axis.rate_hz)}"
+    if (read := report.source.read) is not None and read.from_s > 0:
+        yield f"times start at {read.from_s:.10g} s of the log"
+
+
+def _made(make: Callable[[], Markup | None], title: str) -> Markup | None:
+    """Return a section, or a notice that explains why it is missing."""
+    body, failed = try_side_work(make, None, what=f"This section is missing: {title}", code="not-drawn")
+    return Markup('<p class="notice">{}</p>').format(failed[0].text) if failed else body
 
 
 def summary_section(report: Report, pictures: Mapping[str, str]) -> Markup:
@@ -138,20 +210,6 @@ def _curve_rows(axis: AxisReport) -> Iterator[_Row]:
         yield f"{curve.tau[i]:.6g}", cells
 
 
-#: Sizes of the SVG in its own units: its width, the height of a row, and the margins.
-_WIDTH = 640
-_ROW = 86
-_LEFT = 56
-_RIGHT = 12
-_TOP = 24
-_BOTTOM = 22
-#: Least half-height of a row, as a logarithm: smaller changes look like none.
-_MIN_HEIGHT = 0.02
-#: Largest half-height of a row, as a ratio.
-_MAX_HEIGHT = 4.0
-_MARKS = 6
-
-
 def segments_figure(axis: AxisReport) -> Markup | None:
     """Return N and the floor over time; None if the record was not cut into segments."""
     segments = axis.fit.segments
@@ -206,19 +264,21 @@ def _segments_row(
 def _ticks(reach: float) -> list[float]:
     """Return zero and a round percentage on each side."""
     above = 100 * math.expm1(reach)
-    step = next(s for s in (200, 100, 50, 20, 10, 5, 2, 1, 0.5) if s <= above)
-    return [step, 0.0, -step if step < 100 else -50.0]
+    step = next(step for step in _PERCENTAGES if step <= above)
+    below = -step if step < 100 else -50.0
+    return [step, 0.0, below]
 
 
 def _times(segments: Segments) -> list[tuple[float, str]]:
+    """Return the places and texts of round times."""
+    from matplotlib.ticker import MaxNLocator
+
     end = float(segments.end_s[-1])
-    unit, name = (3600.0, "h") if end >= 2 * 3600 else (60.0, "min") if end >= 120 else (1.0, "s")
-    steps = (part * 10.0**power for power in count(-1) for part in (1, 2, 5))
-    step = next(s for s in steps if end / unit / s <= _MARKS)
-    marks = step * unit * np.arange(math.floor(end / unit / step) + 1, dtype=np.float64)
-    return [
-        (x, f"{time / unit:g} {name}") for time, x in zip(marks.tolist(), _x(segments, marks), strict=True)
-    ]
+    unit, name = time_unit(end)
+    marks = MaxNLocator(_MARKS, steps=[1, 2, 5, 10]).tick_values(0.0, end / unit)
+    times = np.array([mark for mark in marks if mark <= end / unit])
+    places = _x(segments, times * unit)
+    return [(place, f"{time:g} {name}") for place, time in zip(places, times.tolist(), strict=True)]
 
 
 def _x(segments: Segments, seconds: FloatArray) -> list[float]:
