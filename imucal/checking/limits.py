@@ -241,12 +241,9 @@ def parse_limits(text: str, *, name: str = "limits", folder: Path | None = None)
 def _limits(document: object, place: Place, folder: Path) -> Limits:
     file = from_json(_FILE, _known_keys(_FILE, document, place), place)
     limits: list[Limit] = []
-    required: dict[Sensor, tuple[Axis, ...]] = {}
     for section in _SECTIONS:
-        table = getattr(file, section)
-        limits += _section(section, table, place.key(section))
-        if section in _SENSORS and table is not None and table.axes is not None:
-            required[Sensor(section)] = tuple(axis for axis in AXES if axis in table.axes)
+        limits += _section(section, getattr(file, section), place.key(section))
+    required = _required(file)
     calibration = tuple(_calibration(file.calibration, place.key("calibration")))
     if file.findings is not None:
         _check_codes(file.findings, place.key("findings"))
@@ -279,6 +276,16 @@ def _known_keys(kind: Any, value: object, place: Place) -> dict[str, object]:  #
         inner = without_none(hints[name]) if is_optional(hints[name]) else hints[name]
         table[name] = _known_keys(inner, item, place.key(name)) if is_dataclass(inner) else item
     return table
+
+
+def _required(file: object) -> dict[Sensor, tuple[Axis, ...]]:
+    """Return the axes that each sensor must have."""
+    required: dict[Sensor, tuple[Axis, ...]] = {}
+    for sensor in Sensor:
+        table = getattr(file, sensor.value)
+        if table is not None and table.axes is not None:
+            required[sensor] = tuple(axis for axis in AXES if axis in table.axes)
+    return required
 
 
 def _section(section: str, table: object, place: Place) -> Iterator[Limit]:
