@@ -1,12 +1,13 @@
 """calibrate: a recording of rests and turns -> bias, scale, misalignment and g-sensitivity with intervals."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from imucal.arrays import BoolArray, FloatArray, IntArray
+from imucal.arrays import BoolArray, FloatArray
 from imucal.calibration.accelerometer import (
     LOWER,
     PARAMETERS,
@@ -18,15 +19,14 @@ from imucal.calibration.accelerometer import (
 )
 from imucal.calibration.checks import Facts, findings_of
 from imucal.calibration.frames import FRAMES, Frame
-from imucal.calibration.gravity import Gravity, earth_rate, gravity_at
-from imucal.calibration.gyro_rest import GyroRest, estimate_gyro_rest
-from imucal.calibration.known_turns import KnownAngle, known_angle, known_of
-from imucal.calibration.noise_source import NoiseBase, base_covariance, noise_base, white_models
-from imucal.calibration.parameters import accelerometer_parameters, gyroscope_parameters, inverse, is_si
+from imucal.calibration.gravity import Gravity, gravity_at
+from imucal.calibration.gyroscope import calibrate_gyroscope, gyro_scale, scale_of
+from imucal.calibration.known_turns import KnownAngle, known_angle
+from imucal.calibration.noise_source import base_covariance, white_models
+from imucal.calibration.parameters import accelerometer_parameters
 from imucal.calibration.poses import (
     RestMeans,
     Triad,
-    at_other_times,
     attitudes,
     find_rests,
     half_differences,
@@ -39,18 +39,18 @@ from imucal.calibration.requirements import (
     require_attitudes,
     require_range,
     require_rests,
-    trouble_of,
-    unusable_turns,
 )
-from imucal.calibration.result import AccelerometerResult, Calibration, GyroscopeResult, Rest
-from imucal.calibration.slow_noise import AccelerometerEstimate, estimate_accelerometer, walk_covariance
-from imucal.calibration.turn_data import Headings, Turn, TurnData, prepare_turns, start_of
-from imucal.calibration.turns import GyroNoise, TurnsFit, direction_covariance, fit_turns
+from imucal.calibration.rested_sensor import RestedSensor
+from imucal.calibration.result import AccelerometerResult, Calibration, Rest
+from imucal.calibration.slow_noise import AccelerometerEstimate, estimate_accelerometer
 from imucal.errors import ArgumentError, DataError, Fix
-from imucal.noise import TERMS, NoiseModel
+from imucal.noise import NoiseModel
 from imucal.recording import RAW_COUNTS, ReadRange, Recording, Sensor
 from imucal.report.result import Report
 from imucal.user_input import seconds_of
+
+if TYPE_CHECKING:
+    from imucal.calibration.turn_data import Turn
 
 __all__ = ["calibrate"]
 
@@ -120,22 +120,22 @@ def calibrate(
         spans = find_rests(accelerometer, gyroscope, at_least_s=seconds_of(rest_at_least), in_hand=in_hand)
         require_rests(spans, accelerometer, gyroscope)
         si = _accelerometer_is_si(recording, accelerometer)
-        found = _Sensor.of(
+        found = RestedSensor.of(
             accelerometer,
             spans,
             noise,
-            lambda rests: _scale(_first_fit(accelerometer, rests, place, si=si).C),
+            lambda rests: scale_of(_first_fit(accelerometer, rests, place, si=si).C),
         )
         require_attitudes(found.rests.means)
         require_range(accelerometer, found.rests)
         turning = None
         if gyroscope is not None:
             up = _first_fit(accelerometer, found.rests, place, si=si).up
-            turning = _Sensor.of(
+            turning = RestedSensor.of(
                 gyroscope,
                 spans,
                 noise,
-                lambda rests: _gyro_scale(gyroscope, rests, up),
+                lambda rests: gyro_scale(gyroscope, rests, up),
             )
         z = np.column_stack([half_differences(s.data, s.rests, s.base.models) for s in (found, turning) if s])
         moved = _excluded(z)
@@ -153,7 +153,7 @@ def calibrate(
     if turning is not None:
         both = found.keeping(used), turning.keeping(used)
         with _in_log(recording):
-            rotating, every_turn, trouble = _gyroscope(
+            rotating, every_turn, trouble = calibrate_gyroscope(
                 both,
                 estimate,
                 place,
@@ -210,52 +210,7 @@ def _in_log(recording: Recording) -> Iterator[None]:
         raise error.within(recording.source.path) from error
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Sensor:
-    """A sensor with its rests and its noise."""
-
-    data: Triad
-    rests: RestMeans
-    base: NoiseBase
-    movement: FloatArray
-
-    @classmethod
-    def of(
-        cls,
-        data: Triad,
-        spans_s: FloatArray,
-        noise: Report | Mapping[str, NoiseModel] | None,
-        scale: Callable[[RestMeans], FloatArray],
-    ) -> "_Sensor":
-        rests = RestMeans.of(data, spans_s)
-        base = noise_base(noise, data, rests, scale)
-        return cls(data=data, rests=rests, base=base, movement=np.zeros_like(rests.means))
-
-    def keeping(self, keep: BoolArray) -> "_Sensor":
-        rests = replace(self.rests, spans=self.rests.spans[keep], means=self.rests.means[keep])
-        return replace(self, rests=rests, movement=self.movement[keep])
-
-    def moving(self, moved: BoolArray) -> "_Sensor":
-        """Return the sensor with the movement in the rests `moved`: the mean may be off by as much."""
-        movement = self.movement.copy()
-        for k in np.flatnonzero(moved):
-            first, end = self.rests.spans[k]
-            middle = (first + end) // 2
-            halves = self.data.samples[first:middle].mean(axis=0), self.data.samples[middle:end].mean(axis=0)
-            movement[k] = np.abs(halves[1] - halves[0])
-        return replace(self, movement=movement)
-
-    @property
-    def covariance(self) -> FloatArray:
-        noise = base_covariance(self.base.models, self.data, self.rests)
-        return np.asarray(noise + np.array([np.diag(size**2) for size in self.movement.T]))
-
-    @property
-    def walk(self) -> FloatArray:
-        return walk_covariance(self.rests.spans, rate_hz=self.data.rate_hz, samples=len(self.data.samples))
-
-
-def _final_rates(sensor: _Sensor | None) -> tuple[FloatArray, FloatArray]:
+def _final_rates(sensor: RestedSensor | None) -> tuple[FloatArray, FloatArray]:
     """Return the median size of the mean rate in the last quarter of a rest, and its deviation, shape (3,).
 
     The deviation is that of white noise; it is 0 if the samples of most rests do not change at all.
@@ -292,25 +247,6 @@ def _first_fit(data: Triad, rests: RestMeans, place: Gravity, *, si: bool) -> Ac
     return fit_accelerometer(rests.means, noise, gravity=place.value, si=si)
 
 
-def _scale(C: FloatArray | None) -> FloatArray:
-    return np.ones(3) if C is None else np.linalg.norm(inverse(C), axis=1)
-
-
-def _gyro_scale(data: Triad, rests: RestMeans, up: FloatArray) -> FloatArray:
-    plain = _plain_turns(data, rests, up, unusable_turns(data, rests))
-    return _scale(None if plain is None else start_of(plain))
-
-
-def _plain_turns(data: Triad, rests: RestMeans, up: FloatArray, reasons: list[str]) -> TurnData | None:
-    """Return the turns without a reason against them, g-sensitivity ignored."""
-    which = _without(reasons)
-    return prepare_turns(data, rests, up, which) if which.size else None
-
-
-def _without(reasons: list[str]) -> IntArray:
-    return np.flatnonzero([not why for why in reasons])
-
-
 def _excluded(z: FloatArray) -> BoolArray:
     moved = moved_rests(z)
     size = np.abs(z).max(axis=1)
@@ -331,7 +267,7 @@ def _irreplaceable(up: FloatArray, moved: BoolArray) -> BoolArray:
     return np.asarray(~np.array(repeated, dtype=np.bool_))
 
 
-def _estimate(sensor: _Sensor, place: Gravity, *, si: bool) -> AccelerometerEstimate:
+def _estimate(sensor: RestedSensor, place: Gravity, *, si: bool) -> AccelerometerEstimate:
     if len(sensor.rests.means) < MIN_RESTS:
         raise DataError(f"only {len(sensor.rests.means)} rests did not move", fix=Fix(ADVICE))
     return estimate_accelerometer(
@@ -352,7 +288,7 @@ def _lower(theta: FloatArray) -> FloatArray:
 
 
 def _accelerometer(
-    estimate: AccelerometerEstimate, frame: Frame, sensor: _Sensor, place: Gravity, *, si: bool
+    estimate: AccelerometerEstimate, frame: Frame, sensor: RestedSensor, place: Gravity, *, si: bool
 ) -> AccelerometerResult:
     to_frame = np.eye(9)
     to_frame[:6, :6] = [frame.derivatives[entry] for entry in frame.entries]
@@ -388,159 +324,8 @@ def _turned(suggestion: Suggestion, frame: Frame) -> Suggestion:
     return replace(suggestion, down=(x, y, z), text=describe_direction(down), parameter=name)
 
 
-def _gyroscope(
-    sensors: tuple[_Sensor, _Sensor],
-    estimate: AccelerometerEstimate,
-    place: Gravity,
-    latitude: float | None,
-    spans_s: FloatArray,
-    *,
-    known: KnownAngle | None,
-    frame: Frame,
-    si: tuple[bool | None, bool],
-) -> tuple[GyroscopeResult, tuple[Turn, ...], DataError | None]:
-    """Return the gyroscope, its turns, and why they could not be explained, or None.
-
-    `si` is whether the gyroscope was said to be in rad/s, and whether the accelerometer is in m/s².
-    """
-    found, turning = sensors
-    data, rests, fit = turning.data, turning.rests, estimate.fit
-    at_rest = fit.f @ frame.R.T
-    reasons = unusable_turns(data, rests)
-    which = _without(reasons)
-    plain = _plain_turns(data, rests, fit.up, reasons)
-    start, angles, trouble = _start(plain, known, said_si=si[0])
-    earth = earth_rate(latitude)
-    headings = None if plain is None or start is None else Headings.of(plain, start)
-    covariance, walk = turning.covariance, turning.walk
-    rest = estimate_gyro_rest(
-        rests.means,
-        at_rest,
-        covariance,
-        walk,
-        scale=(np.eye(3) if start is None else inverse(start)) @ frame.R.T,
-        earth=earth,
-        gravity=place.value,
-        checked=turning.base.checked,
-        headings=headings,
-        scale_known=start is not None or si[0] is not False,
-    )
-    turns = None
-    if start is not None:
-        f = at_other_times(found.data, (found.data.samples - fit.b) @ (frame.R @ fit.C).T, data)
-        parts = f @ rest.G_apparent.T, at_rest @ rest.G_apparent.T
-        arrays = prepare_turns(data, rests, fit.up, which, parts)
-        deviation = 0.0 if known is None else known.deviation
-        arrays = replace(arrays, known=angles, known_deviation=deviation)
-        models = tuple(
-            NoiseModel(terms=(*model.terms, TERMS["K"].of(excess.kappa)))
-            for model, excess in zip(turning.base.models, rest.excess, strict=True)
-        )
-        noise = GyroNoise(
-            models=models,
-            tau=np.array([excess.tau for excess in rest.excess]),
-            rest_spans=rests.spans,
-            samples=len(data.samples),
-            headings=headings,
-            horizontal=earth.horizontal_sigma,
-        )
-        accelerometer = fit, found.rests.means, estimate.covariances
-        directions = direction_covariance(*accelerometer)
-        turns = fit_turns(arrays, noise, directions, start)
-        turns = turns.turned(frame, direction_covariance(*accelerometer, frame.slopes) - directions)
-    said, as_accelerometer = si
-    if said is None:
-        said = as_accelerometer if turns is None else is_si(inverse(turns.C))
-    every_turn = _turns(spans_s, fit.up, reasons, which, turns, known=angles)
-    return _gyroscope_result(rest, turns, si=said), every_turn, trouble
-
-
-def _start(
-    plain: TurnData | None, known: KnownAngle | None, *, said_si: bool | None
-) -> tuple[FloatArray | None, FloatArray, DataError | None]:
-    """Return where the fit of the turns begins, their known angles, and why there is no such place, or None.
-
-    The start has shape (3, 3); the angles, shape (t,), are NaN if unknown. `said_si` is whether the log is in
-    rad/s, None if nothing says so. A DataError is raised if no turn has the known angle.
-    """
-    if plain is None:
-        if known is not None:
-            raise DataError(
-                "no turn has the known angle, because none can be used: the gyroscope has gaps, is clipped "
-                "or turns for more than 60 s in each of them"
-            )
-        return None, np.zeros(0), None
-    unknown = np.full(len(plain.rests), np.nan)
-    try:
-        start = start_of(plain)
-    except DataError as error:
-        return None, unknown, error
-    if trouble := trouble_of(start):
-        return None, unknown, trouble
-    if known is None:
-        return start, unknown, None
-    angles, start = known_of(plain, start, known, said_si=said_si)
-    return start, angles, None
-
-
-def _gyroscope_result(rest: GyroRest, turns: TurnsFit | None, *, si: bool) -> GyroscopeResult:
-    C = np.eye(3) if turns is None else turns.C
-    return GyroscopeResult(
-        C=C,
-        b=rest.b,
-        G=rest.G,
-        covariance_C=turns.covariance if turns else np.zeros((9, 9)),
-        parameters=gyroscope_parameters(rest, turns, si=si),
-        chi2=turns.chi2 if turns else np.nan,
-        dof=turns.dof if turns else 0,
-        p=turns.p_fit if turns else np.nan,
-        widening=turns.widening if turns else 1.0,
-        scaled=turns is not None,
-        si=si,
-        rest=rest,
-    )
-
-
-def _turns(
-    spans_s: FloatArray,
-    up: FloatArray,
-    reasons: list[str],
-    which: IntArray,
-    fit: TurnsFit | None,
-    *,
-    known: FloatArray,
-) -> tuple[Turn, ...]:
-    """Return the turns; `known`, shape (t,), are known angles in rad of the turns after the rests `which`."""
-    cosines = np.clip(np.einsum("mi,mi->m", up[:-1], up[1:]), -1.0, 1.0)
-    angles = np.degrees(np.arccos(cosines)).tolist()
-    turns = [
-        Turn(start_s=start, end_s=end, angle_deg=angle, why=why or "unexplained")
-        for start, end, angle, why in zip(
-            spans_s[:-1, 1].tolist(), spans_s[1:, 0].tolist(), angles, reasons, strict=True
-        )
-    ]
-    if fit is None:
-        return tuple(turns)
-    for k, rest in enumerate(which):
-        turns[rest] = replace(
-            turns[rest],
-            known_deg=float(np.degrees(known[k])) if np.isfinite(known[k]) else None,
-            residual_deg=_components_deg(fit.residual[k]),
-            before_deg=_components_deg(fit.before[k]),
-            p=float(fit.p[k]),
-            used=bool(fit.used[k]),
-            why="" if fit.used[k] else "wrong",
-        )
-    return tuple(turns)
-
-
-def _components_deg(angles: FloatArray) -> tuple[float, ...]:
-    """Return angles in rad as degrees, without NaN."""
-    return tuple(np.degrees(angles[np.isfinite(angles)]).tolist())
-
-
 def _rests(
-    sensors: tuple[_Sensor, _Sensor | None],
+    sensors: tuple[RestedSensor, RestedSensor | None],
     result: AccelerometerResult,
     place: Gravity,
     *,

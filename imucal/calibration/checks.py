@@ -8,7 +8,7 @@ import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray
 from imucal.calibration.poses import moved_rests
-from imucal.calibration.result import Calibration
+from imucal.calibration.result import Calibration, rms
 from imucal.calibration.slow_noise import AccelerometerEstimate
 from imucal.errors import DataError
 from imucal.findings import Finding, Level, as_sentence
@@ -91,8 +91,8 @@ def findings_of(facts: Facts) -> tuple[Finding, ...]:
 def worse_than_before(found: Calibration) -> Iterator[Finding]:
     """Yield an error if gravity at the rests, or the turns, fit worse than without a calibration."""
     used = [rest for rest in found.rests if rest.used]
-    before, after = _rms(rest.before for rest in used), _rms(rest.residual for rest in used)
-    noise = _rms(rest.sigma or 0.0 for rest in used)
+    before, after = rms(rest.before for rest in used), rms(rest.residual for rest in used)
+    noise = rms(rest.sigma or 0.0 for rest in used)
     if found.accelerometer.si and after > max(_WORSE * before, noise):
         text = (
             "The calibration makes the accelerometer worse: |f| at rest differs from gravity by "
@@ -106,19 +106,14 @@ def worse_than_before(found: Calibration) -> Iterator[Finding]:
 
 def _worse_turns(found: Calibration) -> Iterator[Finding]:
     turns = [turn for turn in found.turns if turn.used]
-    before = _rms(math.hypot(*(turn.before_deg or ())) for turn in turns)
-    after = _rms(math.hypot(*(turn.residual_deg or ())) for turn in turns)
+    before = rms(math.hypot(*(turn.before_deg or ())) for turn in turns)
+    after = rms(math.hypot(*(turn.residual_deg or ())) for turn in turns)
     if after > _WORSE_TURNS * before:
         text = (
             f"The calibration makes the gyroscope worse: the turns are wrong by {before:.2g}° rms before "
             f"and {after:.2g}° after."
         )
         yield Finding("error", "worse-than-before", text, _RECORD_AGAIN, axis="gyro")
-
-
-def _rms(values: Iterable[float]) -> float:
-    squares = [value**2 for value in values]
-    return math.sqrt(sum(squares) / len(squares)) if squares else 0.0
 
 
 def _rests(facts: Facts) -> Iterator[Finding]:

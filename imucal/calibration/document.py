@@ -46,13 +46,11 @@ Vector: TypeAlias = Annotated[FloatArray, Key(shape=(3,))]
 def to_document(found: Calibration) -> JsonObject:
     """Return a calibration as JSON values, SI; null for unknown values."""
     temperature = found.temperature and dict(zip(("mean", "low", "high"), found.temperature, strict=True))
-    rest = "start_s end_s mean_accel mean_gyro up residual before sigma z used why"
-    turn = "start_s end_s angle_deg known_deg residual_deg before_deg p used why"
     return {
         "schema": SCHEMA,
         "verdict": found.verdict,
         "source": picked(found.source, "path format topics message_types"),
-        "gravity": picked(found.gravity, "value sigma origin"),
+        "gravity": to_json(found.gravity),
         "frame": found.frame,
         "log_frame": found.source.values.get("frame", ""),
         "accelerometer": _accelerometer(found.accelerometer),
@@ -62,31 +60,19 @@ def to_document(found: Calibration) -> JsonObject:
             sensor: {"origin": base.origin, "models": [model.text() for model in base.models]}
             for sensor, base in found.noise.items()
         },
-        "rests": [picked(each, rest) for each in found.rests],
-        "turns": [picked(each, turn) for each in found.turns],
+        "rests": to_json(found.rests),
+        "turns": to_json(found.turns),
         "findings": [picked(each, "level code axis text advice") for each in found.findings],
     }
 
 
 def _accelerometer(found: AccelerometerResult) -> JsonObject:
-    add = found.suggestion
-    return {
-        **picked(found, "model C M b diagonal_C diagonal_b covariance chi2 dof p"),
-        "parameters": {name: _parameter(each) for name, each in found.parameters.items()},
-        "excess": picked(found.excess, "tau kappa walk_share"),
-        "suggestion": picked(add, "down text parameter ratio"),
-    }
+    names = "model C M b diagonal_C diagonal_b covariance chi2 dof p parameters excess suggestion"
+    return picked(found, names)
 
 
 def _gyroscope(found: GyroscopeResult) -> JsonObject:
-    return {
-        **picked(found, "scaled C M b G covariance_C chi2 dof p widening"),
-        "parameters": {name: _parameter(each) for name, each in found.parameters.items()},
-    }
-
-
-def _parameter(found: Parameter) -> JsonObject:
-    return picked(found, "value low high unit status")
+    return picked(found, "scaled C M b G covariance_C chi2 dof p widening parameters")
 
 
 def schema() -> JsonObject:

@@ -14,6 +14,7 @@ from imucal.calibration.gyro_rest import estimate_gyro_rest
 from imucal.calibration.mean_covariance import mean_covariance
 from imucal.calibration.parameters import Parameter, accelerometer_parameters, gyroscope_parameters
 from imucal.calibration.poses import RestMeans, Triad
+from imucal.calibration.requirements import MIN_RESTS
 from imucal.calibration.slow_noise import estimate_accelerometer, walk_covariance
 from imucal.calibration.turn_data import Headings, prepare_turns, rotations
 from imucal.calibration.turns import GyroNoise, direction_covariance, fit_turns
@@ -22,10 +23,8 @@ from imucal.errors import ArgumentError
 from imucal.noise import NoiseModel
 from imucal.recording import AXES, AxisSeries, Recording, Sensor, Source
 
-__all__ = ["MIN_RESTS", "ImuErrors", "RestsPlan", "plan_rests", "simulate_rests"]
+__all__ = ["ImuErrors", "RestsPlan", "plan_rests", "simulate_rests"]
 
-#: Minimum number of rests of a log, and of a plan, which fits nine parameters.
-MIN_RESTS = 6
 #: Errors of a consumer IMU: scale, misalignment in rad, biases and g-sensitivity in SI.
 _SCALE, _MISALIGNED, _BIAS_A, _BIAS_G, _G = 0.01, 0.01, 0.15, 0.01, 1e-4
 #: Tilt of an attitude, in rad; length of a turn in s, and its yaw, in rad.

@@ -1,6 +1,7 @@
 """Results of a calibration, and how to apply them to a recording."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal, TypeAlias
 
@@ -17,7 +18,7 @@ from imucal.findings import Finding
 from imucal.grading import GRADE_TEXTS
 from imucal.recording import Source
 
-__all__ = ["AccelerometerResult", "Calibration", "GyroscopeResult", "Rest"]
+__all__ = ["AccelerometerResult", "Calibration", "GyroscopeResult", "Rest", "rms"]
 
 #: check: read the findings first; not-usable: the result is wrong.
 CalibrationGrade: TypeAlias = Literal["good", "check", "not-usable"]
@@ -156,3 +157,9 @@ class Calibration(Displayed):
     def verdict_text(self) -> str:
         """The verdict as printed: good, check first or not usable."""
         return GRADE_TEXTS[self.verdict]
+
+
+def rms(values: Iterable[float]) -> float:
+    """Return the root of the mean square of errors; 0 if there are none."""
+    squares = [value**2 for value in values]
+    return math.sqrt(sum(squares) / len(squares)) if squares else 0.0

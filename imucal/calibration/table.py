@@ -10,7 +10,7 @@ import numpy as np
 
 from imucal.calibration.parameters import Parameter
 from imucal.calibration.poses import attitudes
-from imucal.calibration.result import Calibration
+from imucal.calibration.result import Calibration, rms
 from imucal.report.markup import Markup, render
 from imucal.report.numbers import value_and_half
 from imucal.units import G0, duration
@@ -88,7 +88,7 @@ def headline(found: Calibration) -> str:
 def remarks(found: Calibration) -> Iterator[str]:
     """Yield the errors before and after, and the rest that would help most."""
     used = [rest for rest in found.rests if rest.used]
-    after = _rms(rest.residual for rest in used)
+    after = rms(rest.residual for rest in used)
     if found.accelerometer.parameters["bias_x"].unit == "raw":
         yield f"|f| at rest: {_mm(after)} rms from gravity after calibration."
     else:
@@ -96,7 +96,7 @@ def remarks(found: Calibration) -> Iterator[str]:
         yield f"|f| at rest: error up to {_mm(before)} before, {_mm(after)} rms after."
     turns = [turn for turn in found.turns if turn.used]
     both = [
-        _rms(math.hypot(*each) for turn in turns if (each := getattr(turn, name)) is not None)
+        rms(math.hypot(*each) for turn in turns if (each := getattr(turn, name)) is not None)
         for name in ("before_deg", "residual_deg")
     ]
     if turns:
@@ -194,11 +194,6 @@ def _fitted(own: Iterable[Row], columns: int) -> Iterator[str]:
         else:
             yield row.name
             yield f"  {line[_NAME + 1 :]}"
-
-
-def _rms(values: Iterable[float]) -> float:
-    known = list(values)
-    return math.sqrt(sum(value**2 for value in known) / len(known)) if known else 0.0
 
 
 def _mm(size: float) -> str:

@@ -7,26 +7,25 @@ One mistake that explains all numbers of the file, or of a sensor, is preferred 
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from imucal.checking.config_mistakes import RightNumber, shared_mistake
 from imucal.checking.limits import text_of
 from imucal.checking.verdict import WORST_FIRST, Row, Verdict
 from imucal.errors import Fix, LimitsError
 from imucal.noise.terms import TERMS
 from imucal.prediction.filter_numbers import LEVEL, covered_frequencies
 from imucal.prediction.propagation import MEAN, Caution, upper_limit
-from imucal.recording import Sensor
 from imucal.report.exports import TARGETS
 from imucal.report.exports.config_numbers import Numbers, read_options
 from imucal.report.exports.target import Key, Target, real
 from imucal.report.numbers import Quantity
 from imucal.report.result import AxisReport, Report
-from imucal.units import G0, SAMPLE_UNITS
 
 #: Sufficient share of the required deviation: NEES is 1.2.
 _ENOUGH = 1 / math.sqrt(1.2)
@@ -34,24 +33,15 @@ _ENOUGH = 1 / math.sqrt(1.2)
 _CAUTIOUS = 10.0
 #: Multiple of the required coefficient from which a mistake is searched for.
 _SUSPECT = 2.0
+#: The fitted values without their limits.
 _VALUES = Caution(0.0, 0.0)
 #: Share of the right coefficient below which no sensor is so good.
 _ABSURD = 1e-3
 #: The same share of a bound: no bound is this far above the truth.
 _FAR_BELOW_A_BOUND = 1e-5
-#: A number matches a mistake within this factor.
-_NEAR = 1.35
-#: The same for a small excess, which may be on purpose.
-_NEAR_ON_PURPOSE = 1.1
-#: Largest excess that may be on purpose, as a factor.
-_ON_PURPOSE = 30.0
-#: The same for one mistake of several numbers, of which one must match as above. K is often only bounded, and
-#: then the exporter's number is up to twice the number of the truth.
-_NEAR_SHARED = 2.0
-#: People multiply by ten, which is nearly 9.81.
-_ON_HABIT = ", or made ten times as large on purpose"
-#: Largest difference of the natural logarithms of equal factors.
-_EQUAL = 1e-6
+#: The fitted N or K alone is recognised within this factor.
+_AS_FITTED = 1.1
+#: Largest relative difference of two equal sampling rates.
 _SAME_RATE = 0.01
 
 _COMMENT = re.compile(r"(^|\s)#.*|;.*")
@@ -188,21 +178,22 @@ def noise_rows(
     """Judge the noise parameters; `own` are the keys of the exporter's own file."""
     spelled = {each.name: each.written[0] for each in own if each.written}
     there = _settings_of(keys, settings)
-    judged = list[tuple[Setting, _Wanted, str]]()
+    judged: list[tuple[Setting, _Wanted, str]] = []
     for key, i, setting in there:
-        short = key.sensor.short
         if key.sensor not in numbers.sensors:
             found = f"{setting.place}: the report has no {key.sensor}; use a report with one"
-            yield Row(short, setting.name, "undecided", found)
+            yield Row(key.sensor.short, setting.name, "undecided", found)
             continue
         mates = [(k, s) for k, j, s in there if (k.sensor, j) == (key.sensor, i) and k.symbol != key.symbol]
-        axes = (numbers.triad(key.sensor)[i],) if "{" in key.name else numbers.chosen(key.sensor)
-        wanted = _Wanted.of(key, mates, axes, numbers)
-        judged.append((setting, wanted, spelled.get(_names(key)[i]) or real(wanted.right)))
-    shared = _shared_mistake([(wanted, setting) for setting, wanted, _ in judged])
+        wanted = _Wanted.of(key, i, mates, numbers)
+        judged.append((setting, wanted, spelled.get(_names(key)[i]) or real(wanted.right.right)))
+    wrong = [number for setting, wanted, _ in judged for number in wanted.wrong(setting)]
+    of_file = shared_mistake(wrong)
     for setting, wanted, line in judged:
-        same_sensor = [(other, s) for s, other, _ in judged if other.key.sensor is wanted.key.sensor]
-        yield _noise_row(setting, wanted, line, shared or _shared_mistake(same_sensor))
+        of_sensor = shared_mistake(
+            [(key, number) for key, number in wrong if key.sensor == wanted.key.sensor]
+        )
+        yield _noise_row(setting, wanted, line, of_file or of_sensor)
 
 
 def _settings_of(keys: Sequence[Key], settings: Sequence[Setting]) -> list[tuple[Key, int, Setting]]:
@@ -216,20 +207,6 @@ def _settings_of(keys: Sequence[Key], settings: Sequence[Setting]) -> list[tuple
     ]
 
 
-def _shared_mistake(numbers: Sequence[tuple["_Wanted", Setting]]) -> str:
-    """Return the name of the mistake that explains all numbers of several keys best; empty if none does."""
-    if len(numbers) < 2:
-        return ""
-    distances = [wanted.distances(each) for wanted, setting in numbers for each in _diagonal(setting)]
-    common = set.intersection(*map(set, distances))
-    totals = {
-        name: sum(each[name] for each in distances)
-        for name in common
-        if min(each[name] for each in distances) < math.log(_NEAR)
-    }
-    return min(sorted(totals), key=lambda name: totals[name], default="")
-
-
 def _noise_row(setting: Setting, wanted: "_Wanted", spelled: str, shared: str) -> Row:
     """Return the verdict on a key; for a matrix, on the worst number of its diagonal.
 
@@ -237,7 +214,7 @@ def _noise_row(setting: Setting, wanted: "_Wanted", spelled: str, shared: str) -
     """
     judged = [(*wanted.judge(number, shared), number) for number in _diagonal(setting)]
     verdict, message, number = min(judged, key=lambda each: WORST_FIRST.index(each[0]))
-    key, right = wanted.key, wanted.right
+    key, right = wanted.key, wanted.right.right
     # A number that passes only with the file's other number has no limit of its own.
     alone = verdict != "pass" or number >= right
     instead = setting.with_number(spelled) if message and alone else ""
@@ -264,80 +241,84 @@ def _diagonal(setting: Setting) -> tuple[float, ...]:
     return (numbers[:: size + 1] if square else numbers) or (math.nan,)
 
 
-class _Mistake(NamedTuple):
-    """A likely mistake: its name in all keys, the number that it gives, and the message."""
-
-    name: str
-    number: float
-    message: str
-
-
 @dataclass(frozen=True)
 class _Wanted:
     """The required value of a key: white noise or random walk of some axes.
 
-    `right` is the number that the exporter writes. `other` is the coefficient of the sensor's other number,
-    the larger of the file's and the exporter's, or zero if the format has none. `fitted` contains the largest
-    fitted coefficients.
+    `other` is the coefficient of the sensor's other number, the larger of the file's and the exporter's, or
+    zero if the format has none.
     """
 
     key: Key
     axes: Sequence[AxisReport]
     numbers: Numbers
-    right: float
+    right: RightNumber
     other: float
-    fitted: Mapping[str, float]
 
     @classmethod
-    def of(
-        cls, key: Key, mates: Sequence[tuple[Key, Setting]], axes: Sequence[AxisReport], numbers: Numbers
-    ) -> "_Wanted":
+    def of(cls, key: Key, axis: int, mates: Sequence[tuple[Key, Setting]], numbers: Numbers) -> "_Wanted":
         rate_hz = numbers.stream_hz
-        if numbers.covers:
-            pair = numbers.pair(axes)
-            right = {"N": pair.white, "K": pair.walk}
-            other = right["K" if key.symbol == "N" else "N"]
-        else:
-            right, other = {key.symbol: numbers.joined(axes, key.symbol).value}, 0.0
+        axes = (numbers.triad(key.sensor)[axis],) if "{" in key.name else numbers.chosen(key.sensor)
+        right, other = _coefficients(key.symbol, axes, numbers)
         for mate, setting in mates:
             if (least := min(_diagonal(setting))) > 0:
                 other = max(other, mate.formula.inverse(least, rate_hz))
-        sizes = sorted((e.value or 0.0, e.symbol) for axis in axes for e in axis.fit.estimates)
-        fitted = {symbol: size for size, symbol in sizes}
-        number = key.formula.of(right[key.symbol], rate_hz)
-        return cls(key, axes, numbers, number, other, fitted)
+        elsewhere: list[float] = []
+        for axes_elsewhere in (numbers.chosen(sensor) for sensor in numbers.sensors if sensor != key.sensor):
+            elsewhere.append(_coefficients(key.symbol, axes_elsewhere, numbers)[0])
+            elsewhere.append(_fitted(axes_elsewhere).get(key.symbol, 0.0))
+        number = RightNumber(
+            sensor=key.sensor,
+            symbol=key.symbol,
+            formula=key.formula,
+            right=key.formula.of(right, rate_hz),
+            rate_hz=rate_hz,
+            fitted=_fitted(axes),
+            elsewhere=[coefficient for coefficient in elsewhere if coefficient],
+        )
+        return cls(key, axes, numbers, number, other)
+
+    def wrong(self, setting: Setting) -> list[tuple[RightNumber, float]]:
+        """Return the numbers of a setting that are too small, or so large that they may be a mistake."""
+        return [
+            (self.right, number)
+            for number in _diagonal(setting)
+            if 0 < number < math.inf and not _ENOUGH <= self.right.over(number) <= _SUSPECT
+        ]
 
     def judge(self, number: float, shared: str) -> tuple[Verdict, str]:
         if not 0 < number < math.inf:
             return "fail", "expected a positive number"
-        over = (number / self.right) ** (1 / self.key.formula.power)
-        mistake = self._mistake(number, shared)
+        over = self.right.over(number)
+        mistakes = self.right.explanations(number, shared)
+        cause = ", or ".join(mistake.message for mistake in mistakes)
         if over < _ENOUGH:
-            return self._too_small(number, mistake, over)
-        times = f"{number / self.right:.3g} times too large"
-        if over > _SUSPECT and mistake:
-            return "undecided" if mistake.endswith(_ON_HABIT) else "fail", f"{times}: {mistake}"
+            return self._too_small(number, cause, over)
+        times = f"{number / self.right.right:.3g} times too large"
+        if over > _SUSPECT and mistakes:
+            on_purpose = all(mistake.on_purpose for mistake in mistakes)
+            return "undecided" if on_purpose else "fail", f"{times}: {cause}"
         return "pass", f"{times}: too cautious for a sensor at rest" if over > _CAUTIOUS else ""
 
-    def _too_small(self, number: float, mistake: str, over: float) -> tuple[Verdict, str]:
+    def _too_small(self, number: float, cause: str, over: float) -> tuple[Verdict, str]:
         symbol, c = self.key.symbol, self.key.formula.inverse(number, self.numbers.stream_hz)
-        times = f"{self.right / number:.3g} times too small"
+        times = f"{self.right.right / number:.3g} times too small"
         limits = Caution.at(LEVEL, self.axes[0].fit.level) if len(self.axes) == 1 else MEAN
         if self.numbers.covers and self._covers(c, limits):
             return "pass", "too small alone, but the file's other number makes up for it"
         if over > _FAR_BELOW_A_BOUND and self._covers(c, _VALUES):
             message = "unless a term is below its upper bound; record for longer"
             return "undecided", f"{times}, {message}"
-        own = self.fitted.get(symbol, 0.0)
+        own = self.right.fitted.get(symbol, 0.0)
         if not self.numbers.covers:
             below = f"below {symbol} of the fit"
         else:
             below = "below the values that are enough for the fitted spectrum"
-        if self.numbers.covers and own and 1 / _NEAR_ON_PURPOSE < c / own < _NEAR_ON_PURPOSE:
+        if self.numbers.covers and own and 1 / _AS_FITTED < c / own < _AS_FITTED:
             return "fail", f"{times}: {symbol} of the fit alone is {below}"
         if over < _ABSURD:
-            return "fail", f"{times}, absurd: {mistake or 'no sensor is this good'}"
-        return "fail", f"{times}: {mistake or below}"
+            return "fail", f"{times}, absurd: {cause or 'no sensor is this good'}"
+        return "fail", f"{times}: {cause or below}"
 
     def _covers(self, c: float, caution: Caution) -> bool:
         """Return whether a coefficient and the other number cover the spectra closely enough for a filter."""
@@ -345,7 +326,7 @@ class _Wanted:
         if not self.numbers.covers:
             # The format has no walk that could replace other noise.
             symbol = self.key.symbol
-            return c >= _ENOUGH * self.fitted.get(symbol, 0.0) * options.factor(symbol)
+            return c >= _ENOUGH * self.right.fitted.get(symbol, 0.0) * options.factor(symbol)
         white, walk = (c, self.other) if self.key.symbol == "N" else (self.other, c)
         f = covered_frequencies(self.numbers.horizon_s, options.step_s)
         walks = TERMS["K"].of(walk / options.factor("K")).psd(f, options.step_s)
@@ -355,71 +336,16 @@ class _Wanted:
         given = (white / options.factor("N")) ** 2 + walks
         return bool(np.all(given >= _ENOUGH**2 * np.max(wanted, axis=0)))
 
-    def distances(self, number: float) -> dict[str, float]:
-        """Return the distance of a wrong number from each mistake that may explain it, by its name."""
-        if not 0 < number < math.inf:
-            return {}
-        over = (number / self.right) ** (1 / self.key.formula.power)
-        if _ENOUGH <= over <= _SUSPECT:
-            return {}
-        found: dict[str, float] = {}
-        for mistake in self._mistakes():
-            distance = self._distance(number, mistake)
-            if distance < self._tolerance(mistake, _NEAR_SHARED):
-                found[mistake.name] = min(distance, found.get(mistake.name, math.inf))
-        return found
 
-    def _distance(self, number: float, mistake: _Mistake) -> float:
-        """Return the difference of the natural logarithms of two coefficients."""
-        return abs(math.log(number / mistake.number)) / self.key.formula.power
+def _coefficients(symbol: str, axes: Sequence[AxisReport], numbers: Numbers) -> tuple[float, float]:
+    """Return the required coefficient of a term and of the other one, zero if the format has no other."""
+    if not numbers.covers:
+        return numbers.joined(axes, symbol).value, 0.0
+    pair = numbers.pair(axes)
+    return (pair.white, pair.walk) if symbol == "N" else (pair.walk, pair.white)
 
-    def _tolerance(self, mistake: _Mistake, near: float) -> float:
-        larger = (mistake.number / self.right) ** (1 / self.key.formula.power)
-        return math.log(_NEAR_ON_PURPOSE if 1 < larger < _ON_PURPOSE else near)
 
-    def _mistake(self, number: float, shared: str) -> str:
-        """Return the message of the shared mistake, or of the nearest; empty if that one is too far."""
-        mistakes = [each for each in self._mistakes() if shared in {"", each.name}]
-        nearest = min(mistakes, key=lambda each: self._distance(number, each))
-        near = _NEAR_SHARED if shared else _NEAR
-        return nearest.message if self._distance(number, nearest) < self._tolerance(nearest, near) else ""
-
-    def _mistakes(self) -> Iterator[_Mistake]:
-        key, f, formula = self.key, self.numbers.stream_hz, self.key.formula
-        symbol = key.symbol
-        root, units = math.sqrt(f), TERMS[symbol].coefficient_units(key.sensor)
-        wanted, sample = next(iter(units)), SAMPLE_UNITS[key.sensor]
-        factors = {f"sqrt(f) at {f:g} Hz": root, f"f = {f:g} Hz": f, "57.3": 180 / math.pi, "9.81": G0}
-        for c in {formula.inverse(self.right, f), self.fitted.get(symbol, 0.0)} - {0.0}:
-            turned = (
-                f"g into SI twice{_ON_HABIT}" if key.sensor is Sensor.ACCELEROMETER else "deg/s into SI twice"
-            )
-            twice = formula.of(c * sample[turned.split(maxsplit=1)[0]], f)
-            slips = [
-                _Mistake("deviation", c * root, f"{symbol}*sqrt(f), the deviation of one sample"),
-                _Mistake("step", c / root, f"{symbol}/sqrt(f), the step of one sample"),
-                _Mistake("variance", c * c * f, f"{symbol}^2*f, the variance of one sample"),
-                _Mistake("density", c, f"{symbol}, the continuous density"),
-                _Mistake("square", c * c, f"{symbol}^2, the square of the continuous density"),
-                _Mistake("one root more", formula.of(c * root, f), "one such factor too many"),
-                _Mistake("one root less", formula.of(c / root, f), "one such factor is missing"),
-                _Mistake("one rate more", formula.of(c * f, f), "one factor of the rate too many"),
-                _Mistake("one rate less", formula.of(c / f, f), "one factor of the rate is missing"),
-                _Mistake("SI twice", twice, f"it was converted from {turned}"),
-            ]
-            for unit, of in units.items():
-                message = f"it is in {unit}, not in {wanted}"
-                # The units of N and K with the same factor belong together, such as deg/s.
-                slips.append(_Mistake(f"unit {of:.3g}", formula.of(c / of, f), message))
-            for mistake in slips:
-                by = formula.inverse(mistake.number, f) / c
-                size = abs(math.log(by))
-                name = next((n for n, x in factors.items() if abs(size - math.log(x)) < _EQUAL), "")
-                if size > _EQUAL:
-                    message = f"by {name}: {mistake.message}" if name else mistake.message
-                    yield mistake._replace(message=message)
-        for other_symbol in {"N": "K", "K": "BN"}[symbol]:
-            if other_c := self.fitted.get(other_symbol):
-                names = (f"{s}, the {TERMS[s].name(key.sensor)}," for s in (other_symbol, symbol))
-                message = " in place of ".join(names).removesuffix(",")
-                yield _Mistake(f"{other_symbol} for {symbol}", formula.of(other_c, f), message)
+def _fitted(axes: Sequence[AxisReport]) -> dict[str, float]:
+    """Return the largest fitted coefficient of each term."""
+    sizes = sorted((e.value or 0.0, e.symbol) for axis in axes for e in axis.fit.estimates)
+    return {symbol: size for size, symbol in sizes}

@@ -8,25 +8,27 @@ A limit is in the table of an axis (``gyro_x``), a sensor (``gyroscope``: all it
 """
 
 import difflib
+import json
 import math
 import tomllib
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass, replace
 from pathlib import Path
-from typing import Literal, NoReturn, TypeAlias, TypeVar
+from typing import Annotated, Any, Literal, TypeAlias
 
-from imucal.errors import ChoiceError, LimitsError
+from imucal.errors import ChoiceError, Fix, LimitsError, ReadError
 from imucal.findings import code_texts
 from imucal.noise.terms import TERMS, symbol_of
 from imucal.recording import AXES, Axis, Sensor
+from imucal.report.typed_json import Key, Place, from_json, hints_of, is_optional, without_none
 from imucal.sensors import find_sensor
 from imucal.units import G0, SAMPLE_UNITS, find_unit
 
-T = TypeVar("T")
 Side: TypeAlias = Literal["min", "max"]
 Undecided: TypeAlias = Literal["pass", "fail"]
+Level: TypeAlias = Literal["info", "warning", "error", "none"]
 
-#: The most severe last.
+#: Levels of findings, the most severe last.
 GRAVE = ("info", "warning", "error")
 
 FINDING_CODES = frozenset(code_texts())
@@ -51,9 +53,9 @@ class Limit:
 class FindingRules:
     """The findings that fail the check: of `level` or more severe, and `forbid`, except `allow`."""
 
-    level: str = "error"
-    forbid: frozenset[str] = frozenset()
-    allow: frozenset[str] = frozenset()
+    level: Level = "error"
+    forbid: tuple[str, ...] = ()
+    allow: tuple[str, ...] = ()
 
     def forbids(self, level: str, code: str) -> bool:
         if code in self.allow:
@@ -100,6 +102,7 @@ LOG_QUANTITIES = tuple(_LOG_UNITS)
 
 
 _ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.radians(1.0)}
+_ACCELERATIONS = {**SAMPLE_UNITS[Sensor.ACCELEROMETER], "mm/s^2": 1e-3}
 #: Units of limits of a calibration, SI first.
 CALIBRATION_UNITS: dict[Sensor, dict[str, dict[str, float]]] = {
     Sensor.GYROSCOPE: {
@@ -112,8 +115,8 @@ CALIBRATION_UNITS: dict[Sensor, dict[str, dict[str, float]]] = {
     Sensor.ACCELEROMETER: {
         "scale": {"": 1.0, "%": 0.01, "ppm": 1e-6},
         "misalignment": _ANGLES,
-        "bias": (_SIZES := {**SAMPLE_UNITS[Sensor.ACCELEROMETER], "mm/s^2": 1e-3}),
-        "residual": _SIZES,
+        "bias": _ACCELERATIONS,
+        "residual": _ACCELERATIONS,
     },
 }
 
@@ -126,9 +129,80 @@ def quantity_units(quantity: str, sensor: Sensor) -> dict[str, float]:
     return TERMS[symbol].coefficient_units(sensor)
 
 
-_AXIS_NAMES = {f"{sensor.short}_{axis}": sensor for sensor in Sensor for axis in AXES}
 _SENSORS = tuple(sensor.value for sensor in Sensor)
-_SECTIONS = ("log", *_SENSORS, *_AXIS_NAMES)
+_SENSOR_OF = {f"{sensor.short}_{axis}": sensor for sensor in Sensor for axis in AXES}
+_SENSOR_OF |= {sensor.value: sensor for sensor in Sensor}
+#: What a user can do about a wrong file.
+_FIX = "'imucal check --help' shows a file of limits"
+#: Least similarity of a name that is suggested: 'maks' and 'max' have 0.57, 'axes' and 'gaps' 0.5.
+_NEAR = 0.55
+
+
+@dataclass(frozen=True, kw_only=True)
+class _LogRange:
+    """A limit such as ``{ max = 0.3, unit = "h" }``."""
+
+    min: float | None = None
+    max: float | None = None
+    unit: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Range(_LogRange):
+    """A limit of a sensor, which may be a multiple of the figure of a part."""
+
+    sensor: str | None = None
+
+
+_Size: TypeAlias = Annotated[float, Key(least=0.0, null=None)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _LargestSize:
+    """A limit of a calibration. Without a unit, a limit of 2 would allow a scale error of 200 %."""
+
+    max: _Size
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class _BaselineTable:
+    report: str | None = None
+    terms: tuple[str, ...] = Baseline().terms
+    max_increase: _Size | None = None
+    max_decrease: _Size | None = None
+
+
+def _table(name: str, keys: Mapping[str, Any]) -> Any:  # noqa: ANN401 - a dataclass
+    """Return the type of a table whose keys, each with the type of its value, may be missing."""
+    return make_dataclass(name, [(key, kind | None, None) for key, kind in keys.items()], frozen=True)
+
+
+_LOG_KEYS = dict.fromkeys(LOG_QUANTITIES, _LogRange)
+_AXIS_KEYS = {**dict.fromkeys((*TERM_QUANTITIES, *SAMPLE_QUANTITIES), _Range), **_LOG_KEYS}
+_LOG = _table("_Log", _LOG_KEYS)
+_AXIS = _table("_Axis", _AXIS_KEYS)
+_SENSOR = _table("_Sensor", {**_AXIS_KEYS, "axes": tuple[Axis, ...]})
+_CALIBRATED = {
+    sensor.value: _table("_Calibrated", dict.fromkeys(quantities, _LargestSize))
+    for sensor, quantities in CALIBRATION_UNITS.items()
+}
+#: Tables with limits of a noise report.
+_SECTIONS = {
+    "log": _LOG,
+    **dict.fromkeys(_SENSORS, _SENSOR),
+    **dict.fromkeys([name for name in _SENSOR_OF if name not in _SENSORS], _AXIS),
+}
+_FILE = _table(
+    "_File",
+    {
+        **_SECTIONS,
+        "findings": FindingRules,
+        "baseline": _BaselineTable,
+        "undecided": Undecided,
+        "calibration": _table("_Calibration", _CALIBRATED),
+    },
+)
 
 
 def read_limits(path: Path) -> Limits:
@@ -156,199 +230,158 @@ def parse_limits(text: str, *, name: str = "limits", folder: Path | None = None)
     except tomllib.TOMLDecodeError as error:
         problem = f"not valid TOML ({error}); expected limits such as [gyroscope] N = {{ max = 1e-4 }}"
         raise LimitsError(problem, place=name) from error
-    file = _Value(document, name)
-    sections: dict[str, object] = {section: {} for section in _SECTIONS}
-    others = {"findings": None, "baseline": None, "undecided": "pass"}
-    entries = file.entries({**sections, **others, "calibration": {}})
+    # JSON has no dates and times; where one is found, the error shows its text.
+    document = json.loads(json.dumps(document, default=str))
+    try:
+        return _limits(document, Place(name, _FIX), folder or Path())
+    except ReadError as error:
+        raise LimitsError(error.problem, place=error.place, fixes=error.fixes) from error
+
+
+def _limits(document: object, place: Place, folder: Path) -> Limits:
+    file = from_json(_FILE, _known_keys(_FILE, document, place), place)
     limits: list[Limit] = []
-    required: dict[Sensor, tuple[Axis, ...]] = {}
     for section in _SECTIONS:
-        table = entries[section].table()
-        if "axes" in table:
-            required |= _required(section, table.pop("axes"))
-        limits += _section(section, entries[section], table)
-    calibration = tuple(_calibration(entries["calibration"]))
-    findings = entries["findings"].maybe(_findings)
-    baseline = entries["baseline"].maybe(lambda entry: _baseline(entry, folder or Path()))
-    if not (limits or calibration or required or baseline or findings):
-        file.refuse("no limit", "write one, such as [gyroscope] N = { max = 1e-4 }")
-    undecided = entries["undecided"].one_of(("pass", "fail"), '"pass" or "fail"')
+        limits += _section(section, getattr(file, section), place.key(section))
+    required = _required(file)
+    calibration = tuple(_calibration(file.calibration, place.key("calibration")))
+    if file.findings is not None:
+        _check_codes(file.findings, place.key("findings"))
+    baseline = None
+    if file.baseline is not None:
+        baseline = _baseline(file.baseline, place.key("baseline"), folder)
+    if not (limits or calibration or required or baseline or file.findings):
+        place.refuse("no limit", "one such as [gyroscope] N = { max = 1e-4 }")
     return Limits(
         limits=tuple(limits),
         calibration=calibration,
         required=required,
-        findings=findings or FindingRules(),
+        findings=file.findings or FindingRules(),
         baseline=baseline,
-        undecided="fail" if undecided == "fail" else "pass",
+        undecided=file.undecided or "pass",
     )
 
 
-def _required(section: str, axes: "_Value") -> dict[Sensor, tuple[Axis, ...]]:
-    if section not in _SENSORS:
-        axes.refuse("only gyroscope and accelerometer have axes", "remove it")
-    asked = axes.texts(AXES)
-    return {Sensor(section): tuple(axis for axis in AXES if axis in asked)}
+def _known_keys(kind: Any, value: object, place: Place) -> dict[str, object]:  # noqa: ANN401 - a dataclass
+    """Return a table by the symbols of terms, such as N for ARW and VRW; unknown keys are refused."""
+    if not isinstance(value, dict):
+        place.refuse_value(value, "a table, such as { max = 1e-4 }")
+    hints = hints_of(kind)
+    table: dict[str, object] = {}
+    for key, item in value.items():
+        name = symbol_of(key) or key
+        _check_name(name, tuple(hints), place, "key")
+        if name in table:
+            place.key(key).refuse(f"{name} has limits twice", "one entry for both")
+        inner = without_none(hints[name]) if is_optional(hints[name]) else hints[name]
+        table[name] = _known_keys(inner, item, place.key(name)) if is_dataclass(inner) else item
+    return table
 
 
-def _section(section: str, entry: "_Value", table: Mapping[str, "_Value"]) -> Iterator[Limit]:
-    of_axes = () if section == "log" else (*TERM_QUANTITIES, *SAMPLE_QUANTITIES)
-    entry.known(table, (*of_axes, *LOG_QUANTITIES), also=("axes",) if section in _SENSORS else ())
-    sensor = _AXIS_NAMES.get(section) or (Sensor.GYROSCOPE if section == "log" else Sensor(section))
-    for quantity, asked in table.items():
-        least, most, written, part = asked.entries(
-            {"min": None, "max": None, "unit": None, "sensor": None}
-        ).values()
-        if part.value is None:
-            units = quantity_units(quantity, sensor)
-            unit = _unit(written, units) if written.value is not None else (next(iter(units)), 1.0)
-        else:
-            unit = _times_the_sheet(part, section, quantity, written)
-        both: tuple[tuple[Side, _Value], ...] = (("min", least), ("max", most))
-        sides = {side: each.number() for side, each in both if each.value is not None}
-        if not sides:
-            asked.refuse("neither min nor max", "expected a limit, such as { max = 1e-4 }")
-        if sides.get("min", -math.inf) > sides.get("max", math.inf):
-            asked.refuse("min is above max", "swap them")
-        for side, value in sides.items():
-            yield Limit(section, quantity, side, value, *unit)
+def _required(file: object) -> dict[Sensor, tuple[Axis, ...]]:
+    """Return the axes that each sensor must have."""
+    required: dict[Sensor, tuple[Axis, ...]] = {}
+    for sensor in Sensor:
+        table = getattr(file, sensor.value)
+        if table is not None and table.axes is not None:
+            required[sensor] = tuple(axis for axis in AXES if axis in table.axes)
+    return required
 
 
-def _times_the_sheet(part: "_Value", section: str, quantity: str, written: "_Value") -> tuple[str, float]:
-    """Return ``x BMI088`` as the unit of a limit relative to a data sheet, and the figure in SI."""
-    if written.value is not None:
-        written.refuse(repr(written.value), "remove it: the limit is a multiple of the data sheet's figure")
-    if section == "log":
-        part.refuse(
-            repr(part.value), "a part in [log] is of no sensor; write it in [gyroscope] or [accelerometer]"
-        )
-    name = part.text("the name of a part, such as BMI088")
+def _section(section: str, table: object, place: Place) -> Iterator[Limit]:
+    """Yield the limits of an axis, a sensor or the log."""
+    for quantity, limit in _entries(table):
+        if not isinstance(limit, _LogRange):
+            continue
+        inner = place.key(quantity)
+        unit, factor = _unit_and_factor(limit, _SENSOR_OF.get(section), quantity, inner)
+        if limit.min is None and limit.max is None:
+            inner.refuse("neither min nor max", "a limit such as { max = 1e-4 }")
+        if limit.min is not None and limit.max is not None and limit.min > limit.max:
+            inner.refuse(f"min {limit.min:g} is above max {limit.max:g}", "the opposite")
+        if limit.min is not None:
+            yield Limit(section, quantity, "min", limit.min, unit, factor)
+        if limit.max is not None:
+            yield Limit(section, quantity, "max", limit.max, unit, factor)
+
+
+def _entries(table: Any) -> Iterator[tuple[str, Any]]:  # noqa: ANN401 - a dataclass, or None
+    """Yield the keys of a table that the file contains, with their values."""
+    for attribute in () if table is None else fields(table):
+        value = getattr(table, attribute.name)
+        if value is not None:
+            yield attribute.name, value
+
+
+def _unit_and_factor(
+    limit: _LogRange, sensor: Sensor | None, quantity: str, place: Place
+) -> tuple[str, float]:
+    """Return the unit of a limit and its factor to SI; ``x BMI088`` for the figure of a data sheet."""
+    if isinstance(limit, _Range) and limit.sensor is not None and sensor is not None:
+        if limit.unit is not None:
+            place.key("unit").refuse_value(limit.unit, "no unit of a multiple of the data sheet's figure")
+        return _figure(limit.sensor, sensor, quantity, place.key("sensor"))
+    # A quantity of the log has the same units for both sensors.
+    units = quantity_units(quantity, sensor or Sensor.GYROSCOPE)
+    return (next(iter(units)), 1.0) if limit.unit is None else _unit(limit.unit, units, place)
+
+
+def _figure(name: str, sensor: Sensor, quantity: str, place: Place) -> tuple[str, float]:
     try:
-        found = find_sensor(name)
+        part = find_sensor(name)
     except ChoiceError as error:
-        part.refuse(error.problem, "; ".join(fix.text for fix in error.fixes))
-    sensor = _AXIS_NAMES.get(section) or Sensor(section)
-    term = found.term(sensor, quantity)
+        raise error.at(f"{place.file}: {place.path}") from error
+    term = part.term(sensor, quantity)
     if term is None:
-        own = found.sensors.get(sensor)
-        known = ", ".join(own.terms) if own else ""
-        part.refuse(
-            f"the data sheet of the {found.name} gives no {quantity} of the {sensor}",
-            f"expected one of {known}" if known else "remove the limit, or give a number",
-        )
-    return f"x {found.name}", term.reference
+        own = part.sensors.get(sensor)
+        given = ", ".join(own.terms) if own else ""
+        found = f"the data sheet of the {part.name} gives no {quantity} of the {sensor}"
+        place.refuse(found, f"one of {given}" if given else "a limit without a part")
+    return f"x {part.name}", term.reference
 
 
-def _unit(written: "_Value", units: Mapping[str, float]) -> tuple[str, float]:
-    unit = find_unit(written.text('text, such as "deg/h"'), units)
+def _unit(text: str, units: Mapping[str, float], place: Place) -> tuple[str, float]:
+    unit = find_unit(text, units)
     if unit is None:
-        written.refuse(repr(written.value), f"expected one of {', '.join(filter(None, units))}")
+        place.key("unit").refuse_value(text, f"one of {', '.join(filter(None, units))}")
     return unit
 
 
-def _calibration(entry: "_Value") -> Iterator[Limit]:
-    """Yield the largest size of each parameter of calibrated sensors.
-
-    They need a unit: without one, a limit of 2 would allow a scale error of 200 %.
-    """
-    for sensor, section in zip(Sensor, entry.entries({name: {} for name in _SENSORS}).values(), strict=True):
-        table = section.table()
-        section.known(table, CALIBRATION_UNITS[sensor])
-        for quantity, asked in table.items():
-            units = CALIBRATION_UNITS[sensor][quantity]
-            most, written = asked.entries({"max": None, "unit": None}).values()
-            if most.value is None:
-                asked.refuse("no max", "expected the largest size, such as { max = 2, unit = ... }")
-            if written.value is None:
-                asked.refuse("no unit", f"expected one of {', '.join(filter(None, units))}")
-            yield Limit(section.place, quantity, "max", most.number(low=0), *_unit(written, units))
+def _calibration(calibration: object, place: Place) -> Iterator[Limit]:
+    for sensor, table in _entries(calibration):
+        for quantity, limit in _entries(table):
+            inner = place.key(sensor).key(quantity)
+            unit, factor = _unit(limit.unit, CALIBRATION_UNITS[Sensor(sensor)][quantity], inner)
+            yield Limit(f"calibration.{sensor}", quantity, "max", limit.max, unit, factor)
 
 
-def _findings(entry: "_Value") -> FindingRules:
-    level, *lists = entry.entries({"level": "error", "forbid": [], "allow": []}).values()
-    grave = level.one_of((*GRAVE, "none"), "info, warning, error or none")
-    forbid, allow = (frozenset(codes.texts(FINDING_CODES)) for codes in lists)
-    if both := sorted(forbid & allow):
-        entry.refuse(f"{', '.join(both)} both forbidden and allowed", "choose one")
-    return FindingRules(level=grave, forbid=forbid, allow=allow)
+def _check_codes(rules: FindingRules, place: Place) -> None:
+    for key, codes in (("forbid", rules.forbid), ("allow", rules.allow)):
+        for code in codes:
+            _check_name(code, sorted(FINDING_CODES), place.key(key), "code")
+    both = sorted({*rules.forbid} & {*rules.allow})
+    if both:
+        place.refuse(f"{', '.join(both)} both forbidden and allowed", "one of the two")
 
 
-def _baseline(entry: "_Value", folder: Path) -> Baseline:
-    usual = {"report": None, "terms": list(Baseline().terms), "max_increase": None, "max_decrease": None}
-    report, terms, *changes = entry.entries(usual).values()
-    path = report.maybe(lambda found: found.text("the path of a report"))
-    rules = Baseline(report=None if path is None else folder / path, terms=terms.texts(TERM_QUANTITIES))
-    up, down = (change.maybe(lambda found: found.number(low=0)) for change in changes)
-    return rules if up is None and down is None else replace(rules, max_increase=up, max_decrease=down)
+def _baseline(table: _BaselineTable, place: Place, folder: Path) -> Baseline:
+    terms = tuple(symbol_of(name) or name for name in table.terms)
+    for term in terms:
+        _check_name(term, TERM_QUANTITIES, place.key("terms"), "term")
+    rules = Baseline(report=None if table.report is None else folder / table.report, terms=terms)
+    if table.max_increase is None and table.max_decrease is None:
+        return rules
+    return replace(rules, max_increase=table.max_increase, max_decrease=table.max_decrease)
 
 
-@dataclass(frozen=True)
-class _Value:
-    """A value of the file and its place, such as ``gyroscope.N.max``."""
-
-    value: object
-    file: str
-    place: str = ""
-
-    def refuse(self, found: str, expected: str) -> NoReturn:
-        where = f"{self.file}: {self.place}" if self.place else self.file
-        raise LimitsError(f"{found}{';' if expected.endswith('?') else ','} {expected}", place=where)
-
-    def maybe(self, read: "Callable[[_Value], T]") -> T | None:
-        return None if self.value is None else read(self)
-
-    def table(self) -> dict[str, "_Value"]:
-        """Return the entries of a table by the symbols of terms, such as N for ARW and VRW."""
-        if not isinstance(self.value, dict):
-            self.refuse(repr(self.value), "expected a table, such as { max = 1e-4 }")
-        found: dict[str, _Value] = {}
-        for key, value in self.value.items():
-            name = symbol_of(key) or key
-            if name in found:
-                self._at(key, value).refuse(f"{name} has limits twice", "write one entry for both")
-            found[name] = self._at(name, value)
-        return found
-
-    def entries(self, usual: Mapping[str, object]) -> dict[str, "_Value"]:
-        """Return the entries of a table with the defaults `usual`; other keys are refused."""
-        table = self.table()
-        self.known(table, usual)
-        return {key: table.get(key, self._at(key, value)) for key, value in usual.items()}
-
-    def _at(self, key: str, value: object) -> "_Value":
-        return _Value(value, self.file, f"{self.place}.{key}".lstrip("."))
-
-    def known(self, keys: Iterable[str], known: Collection[str], *, also: tuple[str, ...] = ()) -> None:
-        """Refuse unknown keys; a suggestion prefers `known` to `also`."""
-        for key in keys:
-            if key not in known and key not in also:
-                near = [name for name in known if name in _SENSORS and key and name.startswith(key)]
-                near += difflib.get_close_matches(key, [*known, *also], n=1, cutoff=0.5)
-                code = known is FINDING_CODES
-                expected = "the code of a finding" if code else ", ".join([*known, *also])
-                hint = f"did you mean {near[0]!r}?" if near else f"expected {expected}"
-                self.refuse(f"unknown {'code' if code else 'key'} {key!r}", hint)
-
-    def text(self, expected: str) -> str:
-        if not isinstance(self.value, str):
-            self.refuse(repr(self.value), f"expected {expected}")
-        return self.value
-
-    def one_of(self, allowed: tuple[str, ...], expected: str) -> str:
-        if self.value not in allowed:
-            self.refuse(repr(self.value), f"expected {expected}")
-        return str(self.value)
-
-    def texts(self, known: Collection[str]) -> tuple[str, ...]:
-        if not isinstance(self.value, list) or not all(isinstance(item, str) for item in self.value):
-            self.refuse(repr(self.value), 'expected a list of texts, such as ["N", "K"]')
-        texts = tuple(symbol_of(text) or text for text in self.value)
-        self.known(texts, known)
-        return texts
-
-    def number(self, low: float = -math.inf) -> float:
-        value = self.value
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            self.refuse(repr(value), "expected a number")
-        if value < low:
-            self.refuse(repr(value), f"expected {low:g} or more")
-        return float(value)
+def _check_name(name: str, known: Collection[str], place: Place, what: str) -> None:
+    """Refuse an unknown name, with the nearest known one."""
+    if name in known:
+        return
+    # The short name of a sensor is nearer to its axes than to itself.
+    near = [sensor for sensor in _SENSORS if sensor in known and name and sensor.startswith(name)]
+    near += difflib.get_close_matches(name, known, n=1, cutoff=_NEAR)
+    if not near:
+        place.refuse(f"unknown {what} {name!r}", f"one of {', '.join(known)}")
+    where = f"{place.file}: {place.path}" if place.path else place.file
+    raise ReadError(f"unknown {what} {name!r}", place=where, fix=Fix(f"did you mean {near[0]!r}?"))

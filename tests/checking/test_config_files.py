@@ -327,6 +327,49 @@ def test_one_mistake_of_all_numbers_is_preferred(tmp_path: Path) -> None:
         assert f"{symbol}, the continuous density; write" in rows[name].text
 
 
+def test_two_continuous_numbers_make_a_file_continuous(tmp_path: Path) -> None:
+    """A file has one convention: the walk of the gyroscope alone would have no explanation."""
+    n, k = 1 / math.sqrt(2 * RATE_HZ), 1 / ROOT
+    rows = read_back(tmp_path, vins(n, n, 0.3 * k, 0.2 * k))
+    for name in ("acc_n", "gyr_n", "acc_w", "gyr_w"):
+        assert "the continuous density" in rows[name].text
+    assert "as in the file's other numbers, and 4.28 times too small as such" in rows["gyr_w"].text
+    assert "as in the file" not in rows["gyr_n"].text
+
+
+def test_swapped_sensors_are_one_mistake(tmp_path: Path) -> None:
+    """The accelerometer's numbers in the lines of the gyroscope, and the other way round."""
+    rows = read_back(tmp_path, kalibr(N[ACCEL], K[ACCEL], N[GYRO], K[GYRO]))
+    for name, symbol, sensors in (
+        ("accelerometer_noise_density", "N", (GYRO, ACCEL)),
+        ("accelerometer_random_walk", "K", (GYRO, ACCEL)),
+        ("gyroscope_noise_density", "N", (ACCEL, GYRO)),
+        ("gyroscope_random_walk", "K", (ACCEL, GYRO)),
+    ):
+        other, own = sensors
+        assert rows[name].verdict == "fail"
+        assert f"{symbol} of the {other}, in place of {symbol} of the {own}" in rows[name].text
+
+
+def test_swapped_n_and_k_are_one_mistake(tmp_path: Path) -> None:
+    """A data sheet's "random walk" is N."""
+    rows = read_back(tmp_path, kalibr(K[GYRO], N[GYRO], K[ACCEL], N[ACCEL]))
+    assert {row.verdict for row in rows.values() if row.where != "log"} == {"fail"}
+    assert all("in place of" in row.text for row in rows.values() if row.where != "log")
+
+
+def test_mistakes_that_fit_equally_are_all_reported(tmp_path: Path) -> None:
+    """At 100 Hz, sqrt(f) is nearly 9.81."""
+    report = model_as_report({s: f"N={N[s]} + K={K[s]}" for s in Sensor}, rate_hz=100.0)
+    right = read_back(tmp_path, render(report, "kalibr"), report)["accelerometer_noise_density"].limit
+    assert right is not None
+    text = kalibr(1.1e-4, 1.1e-6, accel_n=9.9 * right, accel_k=1.1e-5)
+    row = read_back(tmp_path, text, report)["accelerometer_noise_density"]
+    assert row.verdict == "fail"
+    assert "N*sqrt(f), the deviation of one sample" in row.text
+    assert "by 9.81: it was converted from g into SI twice" in row.text
+
+
 def vins(acc_n: float, gyr_n: float, acc_w: float, gyr_w: float) -> str:
     """Return a config of VINS whose numbers are the given parts of the right ones."""
     parts = {"acc_n": acc_n, "acc_w": acc_w, "gyr_n": gyr_n, "gyr_w": gyr_w}
