@@ -61,22 +61,27 @@ def _verdict_on(
     """Return the verdict on a unit from the terms in which it is odd, and from its groups and logs."""
     sure = [_oddity(term, unit) for term, unit in odd if name in term.sure]
     perhaps = [_oddity(term, unit) for term, unit in odd if name not in term.sure]
-    larger = [f"{t.name} {t.term}" for t in terms if t.population.groups and name in t.population.groups[-1]]
+    few = [f"{term.name} {term.term}" for term in terms if name in _fewer(term.population.groups)]
     differing = [f"{term.name} {term.term}" for term in terms if name in term.differing]
     reasons = [*sure, *perhaps]
-    if larger:
-        reasons.append(f"it is in the larger group in {', '.join(larger)}")
+    if few:
+        reasons.append(f"it is in the group of fewer units in {', '.join(few)}")
     if differing:
         reasons.append(f"its logs differ in {', '.join(differing)}")
     verdicts = (
         (sure, "not-noise", "unlike the others"),
         (perhaps, "check", "far off in one of many terms, perhaps by chance"),
-        (larger, "check", "of the larger of two groups"),
+        (few, "check", "of the group of fewer units"),
         (differing, "check", "it changes from log to log"),
         (True, "good", "like the others"),
     )
     grade, verdict = next((grade, verdict) for why, grade, verdict in verdicts if why)
     return UnitVerdict(unit=name, logs=logs, grade=grade, verdict=verdict, reasons=tuple(reasons))
+
+
+def _fewer(groups: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
+    """Return the group of fewer units, of larger values if both are equal; () if there are no groups."""
+    return min(reversed(groups), key=len, default=())
 
 
 def group_texts(model: SensorModel) -> list[str]:

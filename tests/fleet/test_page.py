@@ -206,15 +206,28 @@ def test_units_are_judged_by_all_terms(fleet: Fleet) -> None:
 
 
 def test_two_groups_are_named_once_for_all_their_terms(small: Fleet, two_groups: SensorModel) -> None:
-    """Larger units are marked, and the others are like the others."""
+    """The units of the group of fewer units are marked, and the others are like the others."""
     (text,) = group_texts(two_groups)
     assert text.startswith("The units of ACME-6 form two groups in gyro_z N, gyro_z B: u00, u01, ")
     assert "; and larger, u08, u09, u10, u11. " in text
     found = unit_verdicts(two_groups)
     assert [one.unit for one in found[:4]] == ["u08", "u09", "u10", "u11"]
-    assert {one.verdict for one in found[:4]} == {"of the larger of two groups"}
-    assert {one.reasons for one in found[:4]} == {("it is in the larger group in gyro_z N, gyro_z B",)}
+    assert {one.verdict for one in found[:4]} == {"of the group of fewer units"}
+    assert {one.reasons for one in found[:4]} == {
+        ("it is in the group of fewer units in gyro_z N, gyro_z B",)
+    }
     assert {one.grade for one in found[4:]} == {"good"}
+    few = two_groups.units[:3]
+    swapped = replace(
+        two_groups,
+        terms=tuple(
+            replace(term, population=replace(term.population, groups=(few, two_groups.units[3:])))
+            for term in two_groups.terms
+        ),
+    )
+    assert {
+        one.unit for one in unit_verdicts(swapped) if one.verdict == "of the group of fewer units"
+    } == set(few)
     both = of(small, two_groups)
     assert verdict(both) == ("check", "The units form two groups in gyro_z N, gyro_z B.")
     units = html.fromstring(render_fleet_page(both)).get_element_by_id("units")
