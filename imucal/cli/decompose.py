@@ -89,7 +89,7 @@ def command(
     standard errors (_se). decomposition.json contains the model.
     """
     from imucal.pipeline import Settings, characterize
-    from imucal.report.figure_bias import DOCUMENT, SCHEMA, out_folder
+    from imucal.report.decomposition_files import DOCUMENT, SCHEMA, out_folder
     from imucal.report.typed_json import dumps
 
     if every == 0:
@@ -151,7 +151,7 @@ def _decompose_axis(
     """Decompose one axis and write its files; return its entry of the document."""
     from imucal.fitting.decomposition import decompose
     from imucal.fitting.regressors import parse
-    from imucal.report.figure_bias import axis_document, write_decomposition
+    from imucal.report.decomposition_files import axis_document, write_decomposition
 
     taken = fit.settings.get("regressors")
     if isinstance(taken, list) and taken:
