@@ -20,8 +20,6 @@ THREADS = "IMUCAL_THREADS"
 
 #: Memory of one step, in bytes, if the machine's memory is unknown.
 _UNKNOWN = 2_000_000_000
-#: Default limit of samples in memory, in bytes.
-_COLUMNS = 500_000_000
 #: One step may use the memory divided by this.
 _SHARE = 4
 #: The control groups of this process, and the folder of all groups.
@@ -68,16 +66,6 @@ def memory_there_is() -> int | None:
     It is found once, because reading the limits takes 1 ms and each topic of a log asks.
     """
     return min((size for size in (_physical(), *control_group_limits()) if size), default=None)
-
-
-def column_limit() -> int:
-    """Return the limit of samples in memory, in bytes; the rest goes to a temporary file.
-
-    It is ``IMUCAL_MEMORY`` if set, otherwise 500 MB or the memory of one step, whichever is less. Raises
-    SettingError if ``IMUCAL_MEMORY`` is not a size.
-    """
-    limit = memory_limit()
-    return limit if os.environ.get(MEMORY, "").strip() else min(limit, _COLUMNS)
 
 
 def threads() -> int:
