@@ -208,8 +208,8 @@ class GaussMarkov(NoiseTerm):
     def bank(cls, B: float, t_min: float, t_max: float, per_decade: float = 2.0) -> tuple["GaussMarkov", ...]:
         """Return terms whose sum approximates flicker of bias instability `B`, in U, for filters without it.
 
-        The correlation times are spaced by a constant ratio r. Each term has the variance B² ln(r)/pi. The
-        sum has the spectrum of flicker between 1/(2 pi t_max) and 1/(2 pi t_min), except near these limits.
+        The correlation times reach from `t_min` to `t_max`, spaced by a constant ratio r, with at least
+        `per_decade` terms per decade. Each term has the variance B² ln(r)/pi. The sum has the spectrum of flicker between 1/(2 pi t_max) and 1/(2 pi t_min), except near these limits.
         For samples at tau0, t_min = tau0 / 2 is enough up to the Nyquist frequency. The ripple is 5.5 % at 1
         term `per_decade`, 0.08 % at 2. Times that do not increase, and a `B` or `per_decade` that is not
         positive, are a ValueError.
@@ -221,9 +221,9 @@ class GaussMarkov(NoiseTerm):
             given = f"{t_min}, {t_max}, {B}, {per_decade}"
             raise ValueError(f"need 0 < t_min < t_max, B > 0 and per_decade > 0, got {given}")
         steps = math.ceil(math.log10(t_max / t_min) * per_decade - 1e-9)
-        step = math.log(10) / per_decade
-        sigma = B * math.sqrt(step / math.pi)
-        return tuple(cls(sigma=sigma, T=t_min * math.exp(i * step)) for i in range(steps + 1))
+        ratio = (t_max / t_min) ** (1 / steps)
+        sigma = B * math.sqrt(math.log(ratio) / math.pi)
+        return tuple(cls(sigma=sigma, T=t_min * ratio**i) for i in range(steps + 1))
 
     def phi(self, tau0: float) -> float:
         """Return the correlation of neighbouring samples."""

@@ -22,7 +22,7 @@ from imucal.noise.terms import TERMS, BiasInstability, GaussMarkov
 from imucal.prediction import filter_numbers
 from imucal.recording import Axis, Sensor, Source
 from imucal.report.exports import TARGETS, export, find_target, render
-from imucal.report.exports.config_numbers import AxisPolicy, ExportOptions, Numbers, flicker_bank
+from imucal.report.exports.config_numbers import AxisPolicy, ExportOptions, Numbers
 from imucal.report.exports.target import comment, decimal, quoted, real
 from imucal.report.given import model_as_report
 from imucal.report.json_file import from_document, to_document
@@ -713,7 +713,7 @@ def test_a_bank_of_states_has_the_spectrum_of_flicker() -> None:
 
     Two decades from either end the missing tails are below 1 %.
     """
-    bank = NoiseModel(terms=flicker_bank(1e-4, 1e-1, 1e7))
+    bank = NoiseModel(terms=GaussMarkov.bank(1e-4, 1e-1, 1e7, 1.5))
     flicker = NoiseModel(terms=(BiasInstability(value=1e-4),))
     f = np.geomspace(1 / (2 * np.pi * 1e5), 1 / (2 * np.pi * 10), 50)
     ratio = bank.psd(f, rate_hz=100.0) / flicker.psd(f, rate_hz=100.0)
@@ -731,7 +731,7 @@ def test_the_state_space_has_the_fits_allan_curve() -> None:
         if state["phi"] == 1:
             avar += state["q"] ** 2 * (2 * m**2 + 1) / (6 * m)
         else:
-            term = flicker_bank(1.0, state["T"], 2 * state["T"])[0]
+            term = GaussMarkov.bank(1.0, state["T"], 2 * state["T"], 1.5)[0]
             avar += (state["sigma"] / term.sigma) ** 2 * term.avar(m, 1 / 200)
             assert state["phi"] == pytest.approx(math.exp(-1 / (200 * state["T"])), rel=1e-8)
     expected = axis.fit.model.avar(m, rate_hz=200.0)

@@ -412,7 +412,7 @@ class Numbers:
         equal_s = white**2 / (2 * math.log(2) / math.pi * flicker**2)
         longest = max(axis.duration_s, 10 * period)
         shortest = min(max(period, equal_s / _MARGIN), longest / 2)
-        yield from (("B", term) for term in flicker_bank(flicker, shortest, longest))
+        yield from (("B", term) for term in GaussMarkov.bank(flicker, shortest, longest, _PER_DECADE))
 
     def _fitted_bias(self, axis: AxisReport) -> WithBias:
         """Return N and the process that best approximates the slower noise.
@@ -465,17 +465,6 @@ class Numbers:
             place=self.report.source.path,
             fix=Fix("use a log with all axes of both sensors"),
         )
-
-
-def flicker_bank(B: float, shortest_s: float, longest_s: float) -> tuple[GaussMarkov, ...]:
-    """Return Gauss-Markov terms whose sum is flicker noise B between `shortest_s` and `longest_s`.
-
-    The correlation times are log-spaced with a ratio r; each variance is ``B^2 ln(r) / pi``.
-    """
-    steps = max(1, math.ceil(_PER_DECADE * math.log10(longest_s / shortest_s)))
-    ratio = (longest_s / shortest_s) ** (1 / steps)
-    sigma = B * math.sqrt(math.log(ratio) / math.pi)
-    return tuple(GaussMarkov(sigma=sigma, T=shortest_s * ratio**i) for i in range(steps + 1))
 
 
 def _joined(numbers: Sequence[Number], value: float) -> Number:
