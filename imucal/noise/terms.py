@@ -209,7 +209,8 @@ class GaussMarkov(NoiseTerm):
         """Return terms whose sum approximates flicker of bias instability `B`, in U, for filters without it.
 
         The correlation times reach from `t_min` to `t_max`, spaced by a constant ratio r, with at least
-        `per_decade` terms per decade. Each term has the variance B² ln(r)/pi. The sum has the spectrum of flicker between 1/(2 pi t_max) and 1/(2 pi t_min), except near these limits.
+        `per_decade` terms per decade. Each term has the variance B² ln(r)/pi. The sum has the spectrum of
+        flicker between 1/(2 pi t_max) and 1/(2 pi t_min), except near these limits.
         For samples at tau0, t_min = tau0 / 2 is enough up to the Nyquist frequency. The ripple is 5.5 % at 1
         term `per_decade`, 0.08 % at 2. Times that do not increase, and a `B` or `per_decade` that is not
         positive, are a ValueError.

@@ -25,7 +25,7 @@ def test_the_sampled_bank_agrees_with_flicker_up_to_nyquist() -> None:
     """With t_min = tau0/2, the sampled density is right to 1.5 %, and to 12 % at Nyquist."""
     rate, n = 100.0, 100_000
     f = np.geomspace(rate / n, rate / 2, 300)
-    bank = GaussMarkov.bank(0.02, 0.5 / rate, 10 * n / rate, 2.0)
+    bank = GaussMarkov.bank(0.02, 0.5 / rate, 0.5 / rate * 10**6.5, 2.0)
     ratio = sum(t.psd(f, 1 / rate) for t in bank) / BiasInstability(value=0.02).psd(f, 1 / rate)
     assert np.all(np.abs(ratio[f < 0.1 * rate] - 1) < 0.015)
     assert np.all(np.abs(ratio - 1) < 0.12)
