@@ -372,8 +372,7 @@ def test_a_sparse_record_without_neighbours_is_fitted() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("burst", [1, 10])
-@pytest.mark.parametrize("model", ["N=1", "N=1 + B=0.3"])
+@pytest.mark.parametrize(("burst", "model"), [(1, "N=1"), (10, "N=1 + B=0.3")])
 def test_intervals_cover_the_truth_if_92_percent_of_the_samples_are_lost(burst: int, model: str) -> None:
     """N covers in at least 17 of 20 records, three standard errors below 95 %; B is not invented."""
     covered = invented = 0
