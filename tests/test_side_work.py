@@ -163,8 +163,9 @@ def test_a_failed_picture_does_not_prevent_the_report(
 def test_the_command_reports_the_missing_picture(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """It is on standard error, with the table on standard output and exit code 0."""
     monkeypatch.setattr(figure, "sensor_figure", _failing(ArithmeticError("no ticks")))
-    done = run("fit", str(SAMPLE_LOGS / "too_short.db3"), "-o", "out", cwd=tmp_path)
+    quick = ("--model", "N", "--format", "svg")
+    done = run("fit", str(SAMPLE_LOGS / "too_short.db3"), "-o", "out", *quick, cwd=tmp_path)
     assert done.returncode == 0
-    assert "warning [not-drawn]: gyro.png was left out: the calculation failed" in done.stderr
+    assert "warning [not-drawn]: gyro.svg was left out: the calculation failed" in done.stderr
     assert "ACCELEROMETER" in done.stdout
-    assert (tmp_path / "out" / "gyro_x.png").exists()
+    assert (tmp_path / "out" / "gyro_x.svg").exists()

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from imucal.arrays import FloatArray
 from imucal.checking.innovations import are_innovations, check_innovations, mean_with_limits
@@ -17,10 +18,8 @@ def innovations(
 ) -> FloatArray:
     """Return the NIS of innovations whose deviation is `factor` times that of the filter; AR(1)."""
     white = rng.normal(size=(number, dimension))
-    values = np.empty_like(white)
-    values[0] = white[0]
-    for i in range(1, number):
-        values[i] = correlation * values[i - 1] + np.sqrt(1 - correlation**2) * white[i]
+    white[1:] *= np.sqrt(1 - correlation**2)
+    values = signal.lfilter([1.0], [1.0, -correlation], white, axis=0)
     return np.asarray(np.sum((factor * values) ** 2, axis=1))
 
 

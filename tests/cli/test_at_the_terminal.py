@@ -24,6 +24,7 @@ def _write(path: Path, seconds: int, *, carried_s: float = 0.0) -> None:
     np.savetxt(path, np.column_stack([t, values]), delimiter=",", header=header, comments="", fmt="%.9g")
 
 
+@pytest.mark.usefixtures("pictures_are_blank")
 def test_a_folder_is_one_line_and_a_second_run_reports_the_replacement(tmp_path: Path) -> None:
     """Instead of a line a file."""
     _write(tmp_path / "log.csv", 40)

@@ -24,7 +24,7 @@ from tests.readers.ulog.test_ulog import two_sensors
 from tests.slow_cases import first_by_default
 
 #: Cases of each format for each change, in parts; 1024 in total.
-CASES, PARTS = 16, 4
+CASES, PARTS = 8, 2
 
 N = 60
 

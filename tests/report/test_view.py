@@ -36,7 +36,7 @@ def test_a_page_has_every_term_in_every_state(symbol: str, state: str) -> None:
     """
     rng = np.random.default_rng([ord(symbol[0]), STATES.index(state)])
     every = list(product(Sensor, _LETTERS))
-    for count in range(1, 7):
+    for count in (1, 2, 5, 6):
         chosen = every[:count] if count % 2 else every[6 - count :]
         report = report_of([axis_of(*axis, {symbol: state}, rng) for axis in chosen])
         tables = _page(report).xpath("//table[@class='summary']")

@@ -63,7 +63,7 @@ def test_intervals_of_a_given_model_cover_the_truth_with_many_lost_samples(share
     assert min(hits.values()) >= 20 * (0.95 - 3 * np.sqrt(0.95 * 0.05 / 20))
 
 
-@pytest.mark.parametrize(("share", "burst"), [(0.2, 1), (0.3, 3), (0.5, 1)])
+@pytest.mark.parametrize(("share", "burst"), [(0.3, 3), (0.5, 1)])
 def test_many_lost_samples_neither_bias_n_nor_look_like_a_filter(share: float, burst: int) -> None:
     """Radio logs lose that many samples, singly or in short bursts."""
     n, errors, squares = 20_000, [], []
@@ -372,8 +372,7 @@ def test_a_sparse_record_without_neighbours_is_fitted() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("burst", [1, 10])
-@pytest.mark.parametrize("model", ["N=1", "N=1 + B=0.3"])
+@pytest.mark.parametrize(("burst", "model"), [(1, "N=1"), (10, "N=1 + B=0.3")])
 def test_intervals_cover_the_truth_if_92_percent_of_the_samples_are_lost(burst: int, model: str) -> None:
     """N covers in at least 17 of 20 records, three standard errors below 95 %; B is not invented."""
     covered = invented = 0

@@ -37,10 +37,10 @@ def test_a_gauss_markov_term_has_intervals_for_sigma_and_time() -> None:
     assert found.correlation_time.low < 3.0 < found.correlation_time.high
 
 
-@pytest.mark.parametrize("gain", [1e-9, 1e9, -3.7])
+@pytest.mark.parametrize("gain", [-1e-9, 1e9])
 def test_scaling_the_samples_only_scales_the_estimates(gain: float) -> None:
     """Model, times, goodness of fit and bounds agree to rounding."""
-    samples = simulated(RICH, 50_000, 2, rate_hz=100.0)
+    samples = simulated(RICH, 30_000, 2, rate_hz=100.0)
     plain, scaled = fitted(samples, rate_hz=100.0), fitted(gain * samples, rate_hz=100.0)
     assert str(plain.model) == str(scaled.model)
     assert scaled.goodness.statistic == pytest.approx(plain.goodness.statistic, rel=1e-5, abs=1e-5)

@@ -16,7 +16,7 @@ from tests.readers.logs import CONTAINERS, Samples, samples
 from tests.slow_cases import first_by_default
 
 #: Cases of each format, in parts; more than 2000 in total.
-CASES, PARTS = 220, 4
+CASES, PARTS = 80, 2
 #: Largest number of adjacent bytes of one change.
 LONGEST = 64
 #: Least number of messages that one change may affect: a change of `LONGEST` bytes can touch two messages.

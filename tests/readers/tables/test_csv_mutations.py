@@ -16,7 +16,7 @@ from tests.readers.tables.texts import STYLES, Style, write
 from tests.slow_cases import first_by_default
 
 #: Every layout is damaged by every kind of damage with this many seeds, in this many parts.
-SEEDS, PARTS = 18, 3
+SEEDS, PARTS = 12, 2
 LAYOUTS = (
     "EuRoC",
     "rostopic echo -p",

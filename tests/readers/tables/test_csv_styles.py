@@ -26,6 +26,7 @@ def layout_of(recording: Recording) -> str:
 
 @pytest.mark.parametrize("style", STYLES, ids=lambda style: style.name)
 def test_a_header_style_gives_axes_units_rate_and_layout(style: Style, tmp_path: Path) -> None:
+    """The decisions on columns, units and time have a source, which the report shows."""
     recording = read(write(style, tmp_path), options(style))
     expected = [name for name, there in (("gyro", style.gyro), ("accel", style.accel)) if there]
     assert [series.name for series in recording.series] == [f"{s}_{axis}" for s in expected for axis in "xyz"]
@@ -42,12 +43,6 @@ def test_a_header_style_gives_axes_units_rate_and_layout(style: Style, tmp_path:
         else:
             # The tolerance covers one conversion of units each way, or the digits of the style.
             npt.assert_allclose(series.samples, column, rtol=style.tolerance, atol=style.tolerance)
-
-
-@pytest.mark.parametrize("style", STYLES, ids=lambda style: style.name)
-def test_decisions_on_columns_time_and_units_have_a_source(style: Style, tmp_path: Path) -> None:
-    """The report shows these sources."""
-    recording = read(write(style, tmp_path), options(style))
     decisions = dict(recording.source.decisions)
     for sensor in {series.sensor for series in recording.series}:
         assert decisions[f"{sensor} columns"]

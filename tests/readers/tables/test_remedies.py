@@ -46,9 +46,12 @@ def is_truth(recording: Recording) -> None:
 
 
 @pytest.mark.parametrize(
-    "step", [100, 1000, 1, 20, 2, 1e-5, 5e-6, 3e4, 5e11], ids=lambda step: f"step {step:g}"
+    ("step", "name"),
+    [
+        *((step, "time") for step in (100, 1000, 1, 20, 2, 1e-5, 5e-6, 3e4, 5e11)),
+        *((step, name) for step in (100, 2, 5e-6) for name in ("Timestamp", "t")),
+    ],
 )
-@pytest.mark.parametrize("name", ["time", "Timestamp", "t"])
 def test_each_proposed_time_unit_gives_the_reported_rate(step: float, name: str, tmp_path: Path) -> None:
     """The option, the unit in the header and the rate have the same effect."""
     path = tmp_path / "log.csv"
