@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from imucal.calibration.intrinsics_files import load_calibration
     from imucal.comparison import compare
     from imucal.errors import ImucalError
-    from imucal.facade import check, export, fit, info, sensor, simulate
+    from imucal.facade import check, doctor, export, fit, info, sensor, simulate
     from imucal.fitting.decomposition import decompose
     from imucal.fleet.running import run_fleet
     from imucal.fleet.summary import load_fleet
@@ -54,6 +54,7 @@ __all__ = [
     "check",
     "compare",
     "decompose",
+    "doctor",
     "drift",
     "export",
     "fit",
@@ -84,6 +85,7 @@ _HOMES = {
     "check": "facade",
     "compare": "comparison",
     "decompose": "fitting.decomposition",
+    "doctor": "facade",
     "drift": "prediction",
     "export": "facade",
     "fit": "facade",

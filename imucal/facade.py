@@ -26,6 +26,7 @@ from imucal.fitting import NoiseFit
 from imucal.fitting import fit as fit_axis
 from imucal.fleet.as_report import check_fleet, fleet_as_report
 from imucal.fleet.summary import Fleet
+from imucal.health import Diagnosis, diagnose
 from imucal.noise import NoiseModel
 from imucal.pipeline import Settings, characterize
 from imucal.prediction.filter_numbers import STEP_S
@@ -43,7 +44,7 @@ from imucal.user_input import seconds_of
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-__all__ = ["check", "export", "fit", "info", "sensor", "simulate"]
+__all__ = ["check", "doctor", "export", "fit", "info", "sensor", "simulate"]
 
 
 _ONE_AXIS = 'for one axis type imucal.fit(recording["gyro_x"])'
@@ -359,6 +360,30 @@ def info(log: str | Path) -> LogContents:
         If the file is missing, damaged beyond reading or of an unknown format.
     """
     return describe(log)
+
+
+def doctor(recording: Recording | str | Path, *, expect: str | None = None) -> Diagnosis:
+    """Return whether a stream is fit for a filter: a row for units, axes, delay, range, clocks and more.
+
+    The IMU may move. Rows are ``unknown`` if the log can't tell: axes, signs and the delay between the
+    sensors need turns.
+
+    Parameters
+    ----------
+    recording
+        From `imucal.read`, or the path of a log.
+    expect
+        The axis that points up or down at the first rest, such as ``z-up``.
+
+    Raises
+    ------
+    ChoiceError
+        If `expect` is not an axis and a direction.
+    ReadError
+        If the log can't be read.
+    """
+    with _refusals():
+        return diagnose(read(recording) if isinstance(recording, str | Path) else recording, expect=expect)
 
 
 def sensor(name: str) -> Part:

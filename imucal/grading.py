@@ -3,6 +3,7 @@
 The most severe finding determines it, by its level or by an entry in `OTHERWISE`.
 """
 
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
@@ -79,17 +80,21 @@ def refusal(
 ) -> DataError:
     """Return the error for a log that is not noise; `consequence` is such as ``nothing was exported``."""
     sentence = verdict.sentence[0].lower() + verdict.sentence[1:]
-    return DataError(f"{sentence}; {consequence}", place=place, fixes=_fixes(findings), code="not-noise")
+    fixes = _fixes(findings, str(place))
+    return DataError(f"{sentence}; {consequence}", place=place, fixes=fixes, code="not-noise")
 
 
-def _fixes(findings: Iterable[Finding]) -> tuple[Fix, ...]:
+def _fixes(findings: Iterable[Finding], log: str) -> tuple[Fix, ...]:
     moved = [finding for finding in findings if is_motion(finding)]
+    if not moved:
+        return Fix("record again at rest"), FORCE
+    check = Fix(f"check the moving log with 'imucal doctor {shlex.quote(log)}'")
     if any(finding.fix and finding.fix.argument == "rests" for finding in moved):
-        return (Fix("fit the rests", "rests"),)
+        return Fix("fit the rests", "rests"), check
     kept = next((finding.keep_s for finding in moved if finding.keep_s), None)
     if kept:
-        return (Fix(f"fit the quiet part with {options_to_keep(kept)}"),)
-    return Fix("record again at rest"), FORCE
+        return Fix(f"fit the quiet part with {options_to_keep(kept)}"), check
+    return Fix("record again at rest"), check, FORCE
 
 
 def unit_fix(findings: Iterable[Finding], reading: Mapping[str, object]) -> Fix | None:

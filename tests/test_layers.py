@@ -53,7 +53,17 @@ BELOW["advice"] = BASE | {"screening", "rests", "report"}
 BELOW["pipeline"] = BELOW["planning"] | {"screening", "planning", "advice"}
 BELOW["fleet"] = BELOW["pipeline"] | {"pipeline", "checking", "readers", "remote"}
 BELOW["correction"] = BASE | {"calibration", "readers"}
-BELOW["facade"] = BELOW["fleet"] | {"calibration", "checking", "fleet", "simulation"}
+BELOW["health"] = BASE | {
+    "readers",
+    "screening",
+    "calibration",
+    "noise",
+    "allan",
+    "fitting",
+    "checking",
+    "report",
+}
+BELOW["facade"] = BELOW["fleet"] | {"calibration", "checking", "fleet", "health", "simulation"}
 BELOW["cli"] = set(BELOW) | {"cli"}
 BELOW["__main__"] = {"cli"}
 

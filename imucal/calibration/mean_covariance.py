@@ -1,6 +1,7 @@
 """Covariance of the means of several spans of one log, for any noise model."""
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
@@ -28,14 +29,7 @@ def mean_covariance(
     if np.any(spans[:, 1] <= spans[:, 0]) or spans.min() < log[0] or spans.max() > log[1]:
         raise ValueError(f"spans must be non-empty parts of the log's samples {log}, got {spans.tolist()}")
     first, end = np.vstack([spans, log]).T
-    lags = (
-        end[None] - first[:, None],
-        first[None] - first[:, None],
-        end[None] - end[:, None],
-        first[None] - end[:, None],
-    )
-    # Rests of equal length share most lags, and V is even.
-    unique, place = np.unique(np.abs(np.stack(lags)), return_inverse=True)
+    unique, place = _distinct_lags(first.tobytes(), end.tobytes())
     n = (end - first).astype(np.float64)
 
     def sum_covariance(terms: list[NoiseTerm]) -> FloatArray:
@@ -49,6 +43,23 @@ def mean_covariance(
     white = sum_covariance([term for term in model.terms if term.symbol == _WHITE])
     K = slow[:-1, :-1] - slow[:-1, -1:] - slow[-1:, :-1] + slow[-1, -1] + white[:-1, :-1]
     return np.asarray((K + K.T) / 2)
+
+
+@lru_cache(maxsize=16)
+def _distinct_lags(firsts: bytes, ends: bytes) -> tuple[IntArray, IntArray]:
+    """Return the distinct lags between the ends of all spans, and the place of each lag among them.
+
+    Rests of equal length share most lags, and V is even. A fit asks for the same spans at each step.
+    """
+    first, end = (np.frombuffer(edge, dtype=np.int64) for edge in (firsts, ends))
+    lags = (
+        end[None] - first[:, None],
+        first[None] - first[:, None],
+        end[None] - end[:, None],
+        first[None] - end[:, None],
+    )
+    unique, place = np.unique(np.abs(np.stack(lags)), return_inverse=True)
+    return unique, place
 
 
 def white_model(deviation: float, rate_hz: float) -> NoiseModel:

@@ -7,8 +7,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import KW_ONLY, asdict, dataclass
 from itertools import chain
 from typing import Literal, TypeAlias
-from xml.etree import ElementTree as ET
 
+from imucal.checking import ci_files
+from imucal.checking.ci_files import Case, Outcome
 from imucal.checking.limits import (
     LOG_QUANTITIES,
     Baseline,
@@ -21,7 +22,6 @@ from imucal.comparison import paired, ratio
 from imucal.errors import Fix, LimitsError
 from imucal.findings import Finding
 from imucal.grading import NoiseVerdict
-from imucal.printable import one_line
 from imucal.recording import Sensor
 from imucal.report import numbers
 from imucal.report.json_file import load
@@ -312,49 +312,22 @@ def to_document(result: CheckResult) -> dict[str, object]:
     }
 
 
-def junit_xml(result: CheckResult) -> str:
-    """Return JUnit XML with one case per row; an undecided row is skipped unless it fails the check.
-
-    Source: the JUnit schema that GitLab, Jenkins and the GitHub report actions read.
-    """
-    failures = sum(result.fails(row) for row in result.rows)
-    skipped = 0 if result.undecided_fails else result.count("undecided")
-    numbers = {"tests": len(result.rows), "failures": failures, "errors": 0, "skipped": skipped}
-    counts = {name: str(number) for name, number in numbers.items()}
-    root = ET.Element("testsuites", {"name": "imucal check", **counts})
-    suite = ET.SubElement(root, "testsuite", {"name": one_line(result.source), **counts})
+def cases_of(result: CheckResult) -> tuple[Case, ...]:
+    """Return a case for each row; an undecided row is skipped unless it fails the check."""
+    cases = []
     for row in result.rows:
-        rule, text = one_line(row.rule), one_line(row.text)
-        case = ET.SubElement(suite, "testcase", classname=f"imucal.{row.where}", name=rule, time="0")
+        outcome: Outcome = "pass" if row.verdict == "pass" else "skip"
         if result.fails(row):
-            ET.SubElement(case, "failure", message=text, type=row.verdict).text = text
-        elif row.verdict == "undecided":
-            ET.SubElement(case, "skipped", message=text)
-        else:
-            ET.SubElement(case, "system-out").text = text
-    ET.indent(root)
-    return f'<?xml version="1.0" encoding="utf-8"?>\n{ET.tostring(root, encoding="unicode")}\n'
+            outcome = "fail"
+        cases.append(Case(where=row.where, rule=row.rule, text=row.text, outcome=outcome, kind=row.verdict))
+    return tuple(cases)
+
+
+def junit_xml(result: CheckResult) -> str:
+    """Return JUnit XML with one case per row."""
+    return ci_files.junit_xml("imucal check", result.source, cases_of(result))
 
 
 def github_annotations(result: CheckResult, *, file: str = "") -> tuple[str, ...]:
-    """Return a workflow command for each row that failed or is undecided; `file` is the limits file.
-
-    Source: GitHub Actions documentation, "Workflow commands", and actions/toolkit (the escapes).
-    """
-    lines = []
-    for row in result.rows:
-        if row.verdict == "pass":
-            continue
-        command = "error" if result.fails(row) else "warning"
-        place = f"file={_property(file)}," if file else ""
-        title = _property(f"imucal {row.where}: {row.rule}")
-        lines.append(f"::{command} {place}title={title}::{_data(row.text)}")
-    return tuple(lines)
-
-
-def _data(text: str) -> str:
-    return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
-
-
-def _property(text: str) -> str:
-    return _data(text).replace(":", "%3A").replace(",", "%2C")
+    """Return a workflow command for each row that failed or is undecided; `file` is the limits file."""
+    return ci_files.github_annotations(cases_of(result), file=file)

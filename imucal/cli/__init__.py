@@ -125,6 +125,7 @@ class LazyGroup(click.Group):
 #: Command -> its module, and its line of help.
 COMMANDS: dict[str, tuple[str, str]] = {
     "info": ("info", "List the topics, rates, duration, units and gaps of a log."),
+    "doctor": ("doctor", "Check that a log of a moving IMU is fit for a filter."),
     "fit": ("fit", "Fit a noise model to every axis of a log and write a report."),
     "export": ("export", "Write the config files of Kalibr, VINS, ORB-SLAM3, PX4 and others."),
     "check": ("check", "Check a report or a log against limits, for CI."),

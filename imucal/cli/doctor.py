@@ -1,0 +1,106 @@
+"""``imucal doctor``: whether a stream is fit for a filter."""
+
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from imucal.cli._fixes import option_of
+from imucal.cli._printing import echo, print_json, print_note, width
+from imucal.cli.log_request import LogRequest
+from imucal.cli.options import OUTPUT, Command, flag, log_options, option, unwrapped
+from imucal.printable import printable
+
+if TYPE_CHECKING:
+    from imucal.health.diagnosis import Diagnosis, Row, Status
+
+_EPILOG = unwrapped("""
+Examples:
+  imucal doctor drive.mcap
+  imucal doctor drive.bag --topic /imu --expect z-up
+  imucal doctor flight.ulg --json -q | jq .status
+  imucal doctor drive.mcap --junit doctor.xml --github
+
+Exit codes: 0 no row failed, 1 a row failed, 2 usage, 3 the log can't be
+read, 4 the data can't be analysed.
+""")
+
+_COLOURS: "dict[Status, str]" = {"pass": "green", "warn": "yellow", "fail": "red", "unknown": "cyan"}
+#: The word of a row; "unknown" means that the log can't tell.
+_WORDS: "dict[Status, str]" = {"pass": "pass", "warn": "warn", "fail": "fail", "unknown": "?"}
+#: Columns of the word.
+_START = 6
+
+
+@click.command(cls=Command, epilog=_EPILOG)
+@option(
+    "--expect",
+    metavar="AXIS",
+    help="The axis that points up or down at the start, such as z-up, x-down.",
+)
+@flag("--json", "as_json", group=OUTPUT, help="Print the rows as JSON (SI) on standard output.")
+@option(
+    "--junit",
+    group=OUTPUT,
+    metavar="FILE",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Also write JUnit XML to FILE.",
+)
+@flag("--github", group=OUTPUT, help="Also print GitHub annotations (on standard error with --json).")
+@log_options
+def command(
+    *, request: LogRequest, expect: str | None, as_json: bool, junit: Path | None, github: bool
+) -> None:
+    """Check that a stream of IMU samples is fit for a filter.
+
+    LOG may move: drive, flight or hand. Each row answers one question about rate, stamps, units, gravity,
+    axes and signs, delay, range, samples, vibration and temperature: pass, warn, fail, or ? if this log
+    can't tell, with how to record one that does. Axes, signs and delay need turns between short rests.
+    """
+    from imucal.health import diagnose
+    from imucal.health.document import cases_of, to_document
+
+    recording = request.read()
+    found = diagnose(recording, expect=expect)
+    if junit is not None:
+        from imucal.atomic import replacing
+        from imucal.checking.ci_files import junit_xml
+
+        with replacing(junit, ours="imucal doctor") as scratch:
+            scratch.write_text(
+                junit_xml("imucal doctor", found.source.path, cases_of(found)), encoding="utf-8"
+            )
+        print_note(junit)
+    if as_json:
+        print_json(to_document(found))
+    else:
+        click.echo("\n".join(_table(found)))
+    if github:
+        from imucal.checking.ci_files import github_annotations
+
+        for line in github_annotations(cases_of(found)):
+            echo(line, err=as_json)
+    if found.status == "fail":
+        click.get_current_context().exit(1)
+
+
+def _table(found: "Diagnosis") -> list[str]:
+    """Return the verdict and the rows as lines that fit the terminal."""
+    verdict, *more = textwrap.wrap(found.sentence, width())
+    lines = [click.style(verdict, fg=_COLOURS[found.status], bold=True), *more]
+    for row in found.rows:
+        lines += _lines(row)
+    return lines
+
+
+def _lines(row: "Row") -> list[str]:
+    word = click.style(f"{_WORDS[row.status]:<{_START}}", fg=_COLOURS[row.status])
+    advice = row.advice
+    if row.fix is not None and (typed := option_of(row.fix)):
+        advice = f"{advice}: {typed}" if advice else typed
+    text = f"{row.name}: {row.found}"
+    if advice:
+        text += f". {advice}"
+    first, *rest = textwrap.wrap(printable(text), width() - _START)
+    return [f"{word}{first}", *(" " * _START + line for line in rest)]

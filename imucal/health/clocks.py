@@ -1,0 +1,153 @@
+"""Rows about the time stamps, from the findings of the reader."""
+
+from collections.abc import Sequence
+
+from imucal.findings import Finding, Level
+from imucal.health.diagnosis import Row, Status
+from imucal.recording import Recording
+from imucal.screening.values import check_rate
+from imucal.screening.windows import Profile
+
+__all__ = ["clock_rows"]
+
+#: Codes of findings about the sampling rate.
+_RATE = (
+    "absurd-rate",
+    "fast-rate",
+    "rate-changes",
+    "rate-given",
+    "rate-differs",
+    "two-readings",
+    "uneven-stamps",
+)
+#: Codes of findings about time stamps.
+_STAMPS = (
+    "clock-jump",
+    "duplicate-stamps",
+    "extra-samples",
+    "stamps-out-of-order",
+    "zero-stamps",
+    "log-time-used",
+    "time-unused",
+    "bursts",
+    "coarse-stamps",
+)
+#: Codes of findings about header stamps and log time.
+_CLOCKS = ("clocks-differ", "delay")
+#: Findings that are errors for a filter, because it integrates over the time between stamps.
+_FAILS = {"clock-jump", "absurd-rate", "stamps-out-of-order"}
+#: Findings that a filter notices, if a noise fit does not.
+_WARNS = {"bursts", "coarse-stamps", "zero-stamps"}
+#: Share of missing samples above which a filter drifts visibly between samples.
+_MANY_MISSING = 0.01
+#: Longest gap that a filter bridges, in s: at 3 rad/s the IMU turns by 17° in it.
+_LONG_GAP_S = 0.1
+#: Standard deviation of the stamps, in sampling periods, above which they are no times of sampling.
+_JITTER = 0.2
+
+_STATUS: dict[Level, Status] = {"error": "fail", "warning": "warn", "info": "pass"}
+
+
+def clock_rows(recording: Recording, profiles: Sequence[Profile]) -> tuple[Row, ...]:
+    """Return the rows of rate, gaps, stamps, and header against log time."""
+    findings = (*recording.findings, *check_rate(profiles))
+    return (
+        _rate_row(recording, findings),
+        _gaps_row(recording, findings),
+        _stamps_row(recording, findings),
+        _clocks_row(recording, findings),
+    )
+
+
+def _worst(findings: Sequence[Finding], codes: Sequence[str]) -> tuple[Finding | None, Status]:
+    """Return the worst of the findings with some codes, and its status."""
+    order: tuple[Status, ...] = ("fail", "warn", "pass")
+    judged = [(order.index(_status(finding)), finding) for finding in findings if finding.code in codes]
+    if not judged:
+        return None, "pass"
+    place, worst = min(judged, key=lambda pair: pair[0])
+    return worst, order[place]
+
+
+def _status(finding: Finding) -> Status:
+    if finding.code in _FAILS:
+        return "fail"
+    if finding.code in _WARNS:
+        return "warn"
+    return _STATUS[finding.level]
+
+
+def _row_of(name: str, code: str, finding: Finding, status: Status) -> Row:
+    return Row(
+        name=name,
+        code=code,
+        status=status,
+        found=finding.text.removesuffix("."),
+        advice=finding.advice,
+        fix=finding.fix,
+        values={"finding": finding.code},
+    )
+
+
+def _rate_row(recording: Recording, findings: Sequence[Finding]) -> Row:
+    name, code = "rate", "rate"
+    worst, status = _worst(findings, _RATE)
+    if worst is not None:
+        return _row_of(name, code, worst, status)
+    clocks = {id(series.clock): series for series in recording.series}
+    rates = list(dict.fromkeys(f"{series.rate_hz:.6g} Hz" for series in clocks.values()))
+    jitters = [s.clock.jitter_s * s.rate_hz for s in clocks.values() if s.clock.jitter_s is not None]
+    fastest = max((series.rate_hz for series in clocks.values()), default=None)
+    values: dict[str, float | str | None] = {"rate_hz": fastest, "jitter_periods": max(jitters, default=None)}
+    found = f"the sampling rate is {' and '.join(rates)}"
+    if not jitters:
+        return Row(
+            name=name, code=code, status="pass", found=f"{found}; the log has no time stamps", values=values
+        )
+    found += f", and the stamps differ by {max(jitters):.2g} periods from an even grid (standard deviation)"
+    if max(jitters) > _JITTER:
+        advice = "Stamp samples by the sensor's interrupt, or give the filter an even grid of time."
+        return Row(name=name, code=code, status="warn", found=found, advice=advice, values=values)
+    return Row(name=name, code=code, status="pass", found=found, values=values)
+
+
+def _gaps_row(recording: Recording, findings: Sequence[Finding]) -> Row:
+    name, code = "gaps", "gaps"
+    clocks = {id(series.clock): series.clock for series in recording.series}.values()
+    missing = max((clock.missing / clock.grid_size for clock in clocks if clock.grid_size), default=0.0)
+    longest = max((gap.duration_s for clock in clocks for gap in clock.gaps), default=0.0)
+    values: dict[str, float | str | None] = {"missing_share": missing, "longest_s": longest}
+    if not longest:
+        return Row(name=name, code=code, status="pass", found="no sample is missing", values=values)
+    texts = [finding.text.removesuffix(".") for finding in findings if finding.code == "gaps"]
+    found = (
+        texts[0] if texts else f"{missing:.2g} of all samples are missing; the longest gap is {longest:.4g} s"
+    )
+    advice = "Look for lost messages: a full queue, a slow card, or a driver that polls too late."
+    status: Status = "warn"
+    if longest > _LONG_GAP_S or missing > _MANY_MISSING:
+        status = "fail"
+    return Row(name=name, code=code, status=status, found=found, advice=advice, values=values)
+
+
+def _stamps_row(recording: Recording, findings: Sequence[Finding]) -> Row:
+    name, code = "time stamps", "stamps"
+    worst, status = _worst(findings, _STAMPS)
+    if worst is not None:
+        return _row_of(name, code, worst, status)
+    if all(series.clock.start_ns is None for series in recording.series):
+        found = "the log has no time stamps"
+        advice = "Log the time of each sample."
+        return Row(name=name, code=code, status="unknown", found=found, advice=advice)
+    found = "the time stamps increase, and none repeats"
+    return Row(name=name, code=code, status="pass", found=found)
+
+
+def _clocks_row(_: Recording, findings: Sequence[Finding]) -> Row:
+    name, code = "header against log time", "clocks-differ"
+    worst, status = _worst(findings, _CLOCKS)
+    if worst is not None:
+        return _row_of(name, code, worst, status)
+    found = "the log has only one time for each sample"
+    advice = "Record a bag or MCAP file with header stamps."
+    return Row(name=name, code=code, status="unknown", found=found, advice=advice)

@@ -1,0 +1,199 @@
+"""Rows about samples: missing axes, stuck, repeated and interpolated samples, spikes, copies."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from imucal.arrays import BoolArray, blocks
+from imucal.findings import Finding
+from imucal.health.diagnosis import Row, Status
+from imucal.health.stream import Stream
+from imucal.recording import AXES, Recording, Sensor
+from imucal.screening.interleaved import check_interleaved
+from imucal.screening.values import (
+    check_duplicates,
+    check_filled,
+    check_no_data,
+    check_not_finite,
+    check_stuck,
+)
+from imucal.screening.windows import Profile, name_list
+
+__all__ = ["sample_rows"]
+
+#: Variance of a window of another axis, over that of its quiet windows, that shows motion.
+_MOVING = 25.0
+#: Fewest samples in motion for a comparison of neighbours.
+_MIN_SAMPLES = 256
+#: Share of a step that is the rounding of interpolated samples that were not rounded to steps again.
+_EXACT = 0.3
+#: Noise over the step of an axis above which three samples on a line are no coincidence, and a window at rest
+#: never repeats one value.
+_FINE = 2.0
+#: A spike differs from both its neighbours by this many typical differences nearby. Gaussian noise reaches 8;
+#: taps ring for several samples.
+_SPIKE = 25.0
+#: Samples whose median is the typical difference nearby.
+_NEARBY = 15
+#: Fewest spikes that are reported: one may be a knock.
+_SPIKES = 3
+#: Number of spikes per hour from which they are a fault of the driver or the cable.
+_MANY_SPIKES_PER_H = 3600.0
+
+
+def sample_rows(stream: Stream) -> tuple[Row, ...]:
+    """Return the rows of samples, in the order of the checks."""
+    filled = (*stream.recording.findings, *_filled(stream))
+    held = _once_per_sensor(filled, "held-samples")
+    between = _once_per_sensor(filled, "interpolated-samples")
+    alive = [p for p in stream.profiles if p.windows.size and not p.constant]
+    stuck = [one for p in alive for one in _stuck(p, stream)]
+    copies = [*check_duplicates(alive), *check_interleaved(alive)]
+    damaged = [one for p in stream.profiles for one in check_not_finite(p)]
+    return (
+        _axes_row(stream.recording, stream.profiles),
+        _row("samples that are numbers", "not-finite", damaged, "all samples are finite"),
+        _row("stuck samples", "stuck", stuck, "no axis stays at one value while the IMU moves", worst="fail"),
+        _row("repeated samples", "held-samples", held, "no samples repeat on all axes", worst="fail"),
+        _row(
+            "interpolated samples",
+            "interpolated-samples",
+            between,
+            "no samples are on a line between their neighbours",
+            worst="fail",
+        ),
+        _spikes_row(alive),
+        _row("copied axes", "duplicate-axes", copies, "no two axes have the same samples"),
+    )
+
+
+def _filled(stream: Stream) -> tuple[Finding, ...]:
+    """Return the findings about repeated and interpolated samples while the IMU moves."""
+    moving = [_in_motion(p, stream) for p in stream.profiles]
+    long = [p for p in moving if p.series.n >= _MIN_SAMPLES]
+    exact = [replace(p, lsb=_EXACT * p.lsb) if p.lsb is not None else p for p in long]
+    return (*check_filled(long), *check_filled(exact))
+
+
+def _once_per_sensor(findings: Sequence[Finding], code: str) -> list[Finding]:
+    """Return the first finding of a code for each axis or sensor."""
+    return list({finding.axis: finding for finding in reversed(findings) if finding.code == code}.values())
+
+
+def _row(name: str, code: str, findings: Sequence[Finding], good: str, *, worst: Status = "warn") -> Row:
+    """Return a row of the findings; warnings have the status `worst`."""
+    if not findings:
+        return Row(name=name, code=code, status="pass", found=good)
+    levels: dict[str, Status] = {"error": "fail", "warning": worst, "info": "warn"}
+    order = ("error", "warning", "info")
+    first, *others = sorted(findings, key=lambda one: order.index(one.level))
+    axis = f"{first.axis}: " if first.axis else ""
+    found = f"{axis}{first.text.removesuffix('.')}"
+    more = [one.axis for one in others if one.axis]
+    if more:
+        found += f" (also {name_list(more)})"
+    return Row(
+        name=name,
+        code=code,
+        status=levels[first.level],
+        found=found,
+        advice=first.advice,
+        fix=first.fix,
+        values={"axis": first.axis, "finding": first.code},
+    )
+
+
+def _axes_row(recording: Recording, profiles: Sequence[Profile]) -> Row:
+    name, code = "axes with data", "axis-missing"
+    present = {series.name for series in recording.series}
+    wanted = [f"{sensor.short}_{axis}" for sensor in Sensor for axis in AXES]
+    missing = [one for one in wanted if one not in present]
+    empty = [finding for p in profiles for finding in check_no_data(p)]
+    if missing:
+        found = f"{name_list(missing)} {'is' if len(missing) == 1 else 'are'} not in the log"
+        advice = "A filter needs three axes of both sensors: check the choice of columns or topics."
+        return Row(name=name, code=code, status="fail", found=found, advice=advice)
+    if empty:
+        return _row(name, code, empty, "")
+    return Row(name=name, code=code, status="pass", found="all six axes have data")
+
+
+def _moves(p: Profile, stream: Stream) -> BoolArray:
+    """Return in which windows of an axis another axis on the same windows moves, shape (k,)."""
+    windows = p.windows
+    moves = np.zeros(windows.size, dtype=np.bool_)
+    for other in stream.profiles:
+        if other.name == p.name or other.constant or other.windows.size != windows.size:
+            continue
+        variance = other.windows.variance
+        varying = variance[variance > 0]
+        if varying.size:
+            moves |= variance > _MOVING * max(float(np.quantile(varying, 0.05)), (other.lsb or 0.0) ** 2)
+    return moves
+
+
+def _in_motion(p: Profile, stream: Stream) -> Profile:
+    """Return the profile with its samples in fast motion: at rest, coarse samples repeat on all axes."""
+    if not p.windows.size:
+        return p
+    still = stream.resting(p)
+    axes = [one for one in stream.of_sensor(p.series.sensor) if one.windows.size == p.windows.size]
+    speed = np.sum([one.windows.step_variance for one in axes], axis=0)
+    if not still.all():
+        # In slow motion three coarse samples are often on a line.
+        still |= speed < np.median(speed[~still])
+    keep = np.ones(p.series.n, dtype=np.bool_)
+    for start in p.windows.start[still].tolist():
+        keep[start : start + p.windows.width] = False
+    return replace(p, series=p.series.keeping(keep)) if keep.sum() >= _MIN_SAMPLES else p
+
+
+def _stuck(p: Profile, stream: Stream) -> tuple[Finding, ...]:
+    """Return findings for an axis with one value while others move, or at rest if its noise is fine."""
+    moves = _moves(p, stream)
+    fine = p.lsb is None or p.noise > _FINE * p.lsb
+    keep = np.ones_like(moves) if fine else moves
+    return (
+        check_stuck(replace(p, windows=p.windows.take(keep), disturbed=p.disturbed[keep]))
+        if keep.any()
+        else ()
+    )
+
+
+def _spikes_row(profiles: Sequence[Profile]) -> Row:
+    name, code = "spikes", "spikes"
+    counts = {p.name: _spikes(p) for p in profiles}
+    total = sum(counts.values())
+    values: dict[str, float | str | None] = {axis: float(count) for axis, count in counts.items()}
+    most = max(counts, key=lambda axis: counts[axis], default=None)
+    if most is None or counts[most] < _SPIKES:
+        found = "fewer than three single samples per axis are far from both their neighbours"
+        return Row(name=name, code=code, status="pass", found=found, values=values)
+    hours = max(p.series.duration_s for p in profiles) / 3600
+    found = f"{total} single samples are far from both their neighbours, most of them on {most}"
+    status: Status = "fail" if counts[most] / hours > _MANY_SPIKES_PER_H else "warn"
+    return Row(
+        name=name, code=code, status=status, found=found,
+        advice="Check the driver and the cable; let the filter reject outliers.", values=values,
+    )  # fmt: skip
+
+
+def _spikes(p: Profile) -> int:
+    """Return the number of samples that differ from both neighbours, which agree with each other."""
+    samples, count = p.series.samples, 0
+    for part in blocks(samples.size):
+        steps = np.diff(samples[max(part.start - 2, 0) : part.stop + 2])
+        if steps.size < _NEARBY:
+            continue
+        there, back = steps[:-1], steps[1:]
+        least = np.minimum(np.abs(there), np.abs(back))
+        opposite = (there * back < 0) & (np.abs(there + back) < 0.5 * least)
+        floor = max(p.noise, p.lsb or 0.0) / 2
+        candidates = np.flatnonzero(opposite & (least > _SPIKE * floor))
+        if not candidates.size:
+            continue
+        usual = median_filter(np.abs(steps), size=2 * _NEARBY + 1, mode="nearest")
+        count += int((least[candidates] > _SPIKE * np.maximum(usual[candidates], floor)).sum())
+    return count

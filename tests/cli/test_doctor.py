@@ -1,0 +1,72 @@
+"""``imucal doctor``: the table, JSON, JUnit XML and exit codes."""
+
+import json
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+import imucal
+from imucal.errors import ChoiceError
+from tests.cli.run import run
+from tests.raising import raises
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a log of turns, and of one whose gyroscope z has the wrong sign."""
+    folder = tmp_path_factory.mktemp("drive")
+    command = ("simulate", "N=1e-4", "--accel", "N=1e-3", "--rests", "8", "--rest", "4s", "--seed", "3")
+    assert run(*command, "--rate", "100", "-o", "drive.csv", cwd=folder).returncode == 0
+    head, *rows = (folder / "drive.csv").read_text(encoding="utf-8").splitlines()
+    place = next(index for index, name in enumerate(head.split(",")) if name == "w_RS_S_z [rad s^-1]")
+    turned = []
+    for row in rows:
+        cells = row.split(",")
+        cells[place] = str(-float(cells[place]))
+        turned.append(",".join(cells))
+    (folder / "yaw.csv").write_text("\n".join([head, *turned]) + "\n", encoding="utf-8")
+    return folder
+
+
+def test_a_good_stream_passes(drive: Path) -> None:
+    """Questions that the log can't answer do not count."""
+    done = run("doctor", "drive.csv", "-q", cwd=drive)
+    assert (done.returncode, done.stderr) == (0, "")
+    verdict, *rows = done.stdout.splitlines()
+    assert verdict == "Fit for a filter, as far as this log tells"
+    assert any(row.startswith("pass  axes and signs: ") for row in rows)
+    assert any(row.startswith("?     temperature: ") for row in rows)
+    assert max(map(len, rows)) <= 80
+
+
+def test_a_wrong_sign_is_named_and_ends_with_1(drive: Path) -> None:
+    """JSON and JUnit XML contain the same row."""
+    done = run("doctor", "yaw.csv", "--json", "-q", "--junit", "doctor.xml", cwd=drive)
+    assert done.returncode == 1
+    document = json.loads(done.stdout)
+    assert (document["schema"], document["status"]) == ("imucal/doctor/1", "fail")
+    (row,) = [row for row in document["rows"] if row["status"] == "fail"]
+    assert row["code"] == "axes"
+    assert "-z" in row["found"]
+    suite = ET.parse(drive / "doctor.xml").getroot()  # noqa: S314 - our own file
+    (failure,) = suite.iter("failure")
+    assert row["found"] in str(failure.text)
+
+
+def test_the_axis_that_is_up_may_be_expected(drive: Path) -> None:
+    """An unknown one is refused with the choices."""
+    assert run("doctor", "drive.csv", "--expect", "z-up", "-q", cwd=drive).returncode == 0
+    done = run("doctor", "drive.csv", "--expect", "z-down", "-q", cwd=drive)
+    assert done.returncode == 1
+    assert done.stdout.splitlines()[0] == "Not fit for a filter: axis that is up"
+    with raises(ChoiceError, argument="expect"):
+        imucal.doctor(drive / "drive.csv", expect="up")
+
+
+def test_a_narrow_terminal_and_annotations(drive: Path) -> None:
+    """Annotations of GitHub name the failed row."""
+    done = run("doctor", "yaw.csv", "--github", "-q", cwd=drive, COLUMNS="40")
+    table = [line for line in done.stdout.splitlines() if not line.startswith("::")]
+    assert max(map(len, table)) <= 40
+    assert "::error title=imucal doctor%3A axes and signs::" in done.stdout
