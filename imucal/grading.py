@@ -3,7 +3,6 @@
 The most severe finding determines it, by its level or by an entry in `OTHERWISE`.
 """
 
-import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
@@ -76,25 +75,32 @@ def is_motion(finding: Finding) -> bool:
 
 
 def refusal(
-    verdict: NoiseVerdict, findings: Iterable[Finding], *, place: object, consequence: str
+    verdict: NoiseVerdict,
+    findings: Iterable[Finding],
+    *,
+    place: object,
+    consequence: str,
+    if_moved: Sequence[Fix] = (),
 ) -> DataError:
-    """Return the error for a log that is not noise; `consequence` is such as ``nothing was exported``."""
+    """Return the error for a log that is not noise; `consequence` is such as ``nothing was exported``.
+
+    The fixes `if_moved` are added if the IMU was moved.
+    """
     sentence = verdict.sentence[0].lower() + verdict.sentence[1:]
-    fixes = _fixes(findings, str(place))
+    fixes = _fixes(findings, if_moved)
     return DataError(f"{sentence}; {consequence}", place=place, fixes=fixes, code="not-noise")
 
 
-def _fixes(findings: Iterable[Finding], log: str) -> tuple[Fix, ...]:
+def _fixes(findings: Iterable[Finding], if_moved: Sequence[Fix]) -> tuple[Fix, ...]:
     moved = [finding for finding in findings if is_motion(finding)]
     if not moved:
         return Fix("record again at rest"), FORCE
-    check = Fix(f"check the moving log with 'imucal doctor {shlex.quote(log)}'")
     if any(finding.fix and finding.fix.argument == "rests" for finding in moved):
-        return Fix("fit the rests", "rests"), check
+        return Fix("fit the rests", "rests"), *if_moved
     kept = next((finding.keep_s for finding in moved if finding.keep_s), None)
     if kept:
-        return Fix(f"fit the quiet part with {options_to_keep(kept)}"), check
-    return Fix("record again at rest"), check, FORCE
+        return Fix(f"fit the quiet part with {options_to_keep(kept)}"), *if_moved
+    return Fix("record again at rest"), *if_moved, FORCE
 
 
 def unit_fix(findings: Iterable[Finding], reading: Mapping[str, object]) -> Fix | None:

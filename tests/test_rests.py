@@ -176,7 +176,9 @@ def test_a_moved_log_prints_advice_instead_of_numbers(tmp_path: Path) -> None:
     assert done.stdout == "Not noise: the IMU was moved; do not use these numbers\n"
     assert "[motion]" in done.stderr
     assert "[model-misfit]" not in done.stderr
-    advice = "fit the rests, or check the moving log with 'imucal doctor drive.csv'\nUse --rests.\n"
+    advice = (
+        "fit the rests, or check the stream: type 'imucal doctor' in place of 'imucal fit'\nUse --rests.\n"
+    )
     assert f"moved; do not use these numbers; nothing was written; {advice}" in done.stderr
     assert run("doctor", "drive.csv", cwd=tmp_path).returncode in {0, 1}
     with_rests = run(*command, "--rests", "-o", "out", "--format", "svg", cwd=tmp_path)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import click
 
 from imucal.cli.context import is_set
-from imucal.errors import DataError
+from imucal.errors import DataError, Fix
 from imucal.findings import Finding, options_to_keep
 from imucal.grading import NoiseVerdict, refusal
 from imucal.printable import printable, printable_json
@@ -160,14 +160,16 @@ def refuse(
     place: object,
     consequence: str,
     printed: bool = False,
+    if_moved: Sequence[Fix] = (),
 ) -> None:
     """Raise a DataError, exit code 4, if data are not noise at rest (unless forced) or --strict forbids them.
 
     --strict forbids warnings and errors among the `findings`. The message contains the `place` and the
-    `consequence`, such as whether a file was written. `printed`: the results were already printed.
+    `consequence`, such as whether a file was written. `printed`: the results were already printed. The
+    fixes `if_moved` are for a log that was moved.
     """
     if not verdict.usable and not is_set("force"):
-        error = refusal(verdict, findings, place=place, consequence=consequence)
+        error = refusal(verdict, findings, place=place, consequence=consequence, if_moved=if_moved)
     elif is_set("strict") and (codes := {f.code: None for f in findings if f.level != "info"}):
         error = DataError(f"{', '.join(codes)} found; --strict allows no warning", place=place)
     else:

@@ -36,6 +36,7 @@ from imucal.cli.options import (
     si_units,
     unwrapped,
 )
+from imucal.errors import Fix
 from imucal.fitting import METHODS
 from imucal.grading import unit_fix
 from imucal.printable import printable_json
@@ -57,6 +58,10 @@ Examples:
 Exit codes: 0 done, 2 usage, 3 log not readable, 4 not noise at rest or no
 result (with --strict: or a warning), 5 report not writable, 130 interrupted.
 """)
+
+
+#: For a log that was moved.
+_CHECK_IT = Fix("check the stream: type 'imucal doctor' in place of 'imucal fit'")
 
 
 @click.command(cls=Command, epilog=_EPILOG)
@@ -159,7 +164,14 @@ def command(
             print_note(_next_step(report, folder))
     written = "nothing was written" if no_report else f"see {folder}"
     findings = (*report.all_findings, *missing)
-    refuse(report.verdict, findings, place=report.source.path, consequence=written, printed=True)
+    refuse(
+        report.verdict,
+        findings,
+        place=report.source.path,
+        consequence=written,
+        printed=True,
+        if_moved=[_CHECK_IT],
+    )
 
 
 def _part(name: str | None) -> "Part | None":

@@ -91,7 +91,7 @@ def test_a_check_has_its_own_code_if_its_output_is_read(tmp_path: Path) -> None:
             "to write a config file from a calibration, type 'imucal export cal --to kalibr'",
         ),
         ("units", "run-1.fleet", "to print the state of a fleet, type 'imucal fleet status units'"),
-        ("imu.yaml", "", "expected one of info, fit, "),
+        ("imu.yaml", "", "expected one of info, doctor, fit, "),
         ("log.csv", "", "to fit a log, type 'imucal fit log.csv'"),
     ],
 )

@@ -79,8 +79,8 @@ def test_fit_and_adev_end_with_code_4_and_one_sentence(
         done = run(*command, *unit, "-q", cwd=tmp_path)
         assert done.returncode == 4
         again = r"record again at rest, or force it\nUse --force\."
-        check = "or check the moving log with 'imucal doctor log.csv'"
-        advice = rf"({again}|fit the quiet part with --skip [\d.]+s --take [\d.]+s, {check})"
+        check = r"(, or check the stream: type 'imucal doctor' in place of 'imucal fit')?"
+        advice = rf"({again}|fit the quiet part with --skip [\d.]+s --take [\d.]+s{check})"
         ended = f"(nothing was written|the curves were printed); {advice}\n"
         assert re.fullmatch(f"Error: log.csv: not noise: {said}(, N to .*)?; {ended}", done.stderr)
         assert done.stdout
