@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import psutil
 
+from imucal.errors import StoreError
 from imucal.fleet.store import LogRow, Stored, is_fleet, read_store
 from tests.cli.run import run
 from tests.fleet.done_here import logs_done_here
@@ -117,7 +118,10 @@ class Bench:
 
         def is_done() -> bool:
             assert run.poll() is None, run.communicate()[1]
-            return is_fleet(self.folder / name) and bool(self.store(name).rows)
+            # The first file is empty until the settings are written.
+            with contextlib.suppress(StoreError):
+                return is_fleet(self.folder / name) and bool(self.store(name).rows)
+            return False
 
         wait_until(is_done)
 

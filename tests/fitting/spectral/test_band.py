@@ -9,7 +9,7 @@ from tests.fitting.fits import fitted, simulated
 from tests.slow_cases import first_by_default
 
 TEXT = "N=1 + B=0.1 + K=2e-3"
-N = 100_000
+N = 200_000
 
 
 def filtered(top: FloatArray, bottom: FloatArray, seed: int) -> FloatArray:
