@@ -156,8 +156,11 @@ class ChildProcess:
         """Kill the process; return the end of its standard error."""
         if self._process is not None:
             self._process.kill()
-            # Close the pipes and fetch the exit code.
-            self._process.communicate()
+            for pipe in (self._process.stdin, self._process.stdout):
+                with suppress(OSError):
+                    cast("IO[bytes]", pipe).close()
+            # Not `communicate`: it waits for all processes that inherited the pipes, also for a stopped fork.
+            self._process.wait()
             self._process = None
         if self._errors is None:
             return ""

@@ -26,14 +26,10 @@ ONE_DEVIATION = math.erf(math.sqrt(0.5))
 _SHARP = 0.1
 #: Longest record, in s; longer needs are infinite.
 _LONGEST = 10 * 365.25 * 86400
-#: First length in the search without a record, in s.
-_USUAL = 3600.0
 #: Logarithm of the standard error of a record without information.
 _NO_INFORMATION = 50.0
 #: Tolerance of a needed length, in natural logarithm.
 _TOLERANCE = 1e-4
-#: Length of the last secant step, in natural logarithm; it lands far closer.
-_LAST_STEP = 5e-3
 #: A finding reports a record that is too short by this factor.
 _WORTH_SAYING = 1.05
 #: Relative standard error at which half of all records show a term, and the standard deviation of this limit.

@@ -30,7 +30,7 @@ def try_side_work(
     try:
         return make(), ()
     except DataError as error:
-        why = error.sentence if error.place == axis else str(error)
+        why = str(error.below(axis) if axis else error)
     except _NUMERIC as error:
         why = f"the calculation failed ({_last_words(error)})"
     except Exception as error:

@@ -8,7 +8,6 @@ from dataclasses import KW_ONLY, asdict, dataclass
 from itertools import chain
 from typing import Literal, TypeAlias
 
-from imucal.checking import ci_files
 from imucal.checking.ci_files import Case, Outcome
 from imucal.checking.limits import (
     LOG_QUANTITIES,
@@ -321,13 +320,3 @@ def cases_of(result: CheckResult) -> tuple[Case, ...]:
             outcome = "fail"
         cases.append(Case(where=row.where, rule=row.rule, text=row.text, outcome=outcome, kind=row.verdict))
     return tuple(cases)
-
-
-def junit_xml(result: CheckResult) -> str:
-    """Return JUnit XML with one case per row."""
-    return ci_files.junit_xml("imucal check", result.source, cases_of(result))
-
-
-def github_annotations(result: CheckResult, *, file: str = "") -> tuple[str, ...]:
-    """Return a workflow command for each row that failed or is undecided; `file` is the limits file."""
-    return ci_files.github_annotations(cases_of(result), file=file)

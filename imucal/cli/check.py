@@ -9,11 +9,12 @@ import click
 from imucal.checking import Baseline, CheckResult, Limits
 from imucal.checking.verdict import Row, Verdict
 from imucal.cli._fleet import is_fleet, read_fleet
-from imucal.cli._printing import FULL, as_typed, echo, print_json, print_note, width
+from imucal.cli._printing import FULL, as_typed, print_json, print_note, width
 from imucal.cli._report_input import load_calibrated, load_report, read_report, refuse_reading
+from imucal.cli._verdicts import print_annotations, verdict_options, write_junit
 from imucal.cli.context import misuse
 from imucal.cli.log_request import LogRequest
-from imucal.cli.options import OUTPUT, ReportCommand, flag, fleet_model, option, report_options, unwrapped
+from imucal.cli.options import ReportCommand, fleet_model, option, report_options, unwrapped
 from imucal.cli.param_types import FILE, PATH
 from imucal.errors import ReadError
 from imucal.printable import printable
@@ -86,15 +87,7 @@ file, 3 the report or log can't be read, 4 the data can't be analysed.
     type=click.Choice(["pass", "fail"]),
     help="Result if the interval contains the limit. [default: from the limits file, or pass]",
 )
-@flag("--json", "as_json", group=OUTPUT, help="Print the verdicts as JSON on standard output.")
-@option(
-    "--junit",
-    group=OUTPUT,
-    metavar="FILE",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Also write JUnit XML to FILE.",
-)
-@flag("--github", group=OUTPUT, help="Also print GitHub annotations (on standard error with --json).")
+@verdict_options
 @report_options
 def command(
     *,
@@ -136,7 +129,9 @@ def command(
     if undecided is not None:
         result = replace(result, undecided_fails=undecided == "fail")
     if junit is not None:
-        _write_junit(result, junit)
+        from imucal.checking.verdict import cases_of
+
+        write_junit(junit, cases_of(result), command="imucal check", source=result.source)
     _print(result, as_json=as_json, github=github, file=str(limits_file or config or ""))
     if not result.passed:
         click.get_current_context().exit(1)
@@ -158,26 +153,16 @@ class _Against:
         return any((self.limits_file, self.baseline, self.fleet, self.config))
 
 
-def _write_junit(result: CheckResult, file: Path) -> None:
-    from imucal.atomic import replacing
-    from imucal.checking.verdict import junit_xml
-
-    with replacing(file, ours="imucal check") as scratch:
-        scratch.write_text(junit_xml(result), encoding="utf-8")
-    print_note(file)
-
-
 def _print(result: CheckResult, *, as_json: bool, github: bool, file: str) -> None:
     """Print the verdicts as JSON or as a table, and the annotations of a file."""
-    from imucal.checking.verdict import github_annotations, to_document
+    from imucal.checking.verdict import cases_of, to_document
 
     if as_json:
         print_json(to_document(result))
     else:
         click.echo(_table(result))
     if github:
-        for line in github_annotations(result, file=file):
-            echo(line, err=as_json)
+        print_annotations(cases_of(result), file=file, err=as_json)
 
 
 def _checked(request: LogRequest, against: _Against, dof: int | None) -> CheckResult:

@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imucal.cli._fixes import option_of
-from imucal.cli._printing import echo, print_json, print_note, width
+from imucal.cli._printing import print_json, width
+from imucal.cli._verdicts import print_annotations, verdict_options, write_junit
+from imucal.cli.context import is_set
 from imucal.cli.log_request import LogRequest
-from imucal.cli.options import OUTPUT, Command, flag, log_options, option, unwrapped
+from imucal.cli.options import Command, log_options, option, unwrapped
+from imucal.errors import DataError
 from imucal.printable import printable
 
 if TYPE_CHECKING:
@@ -23,7 +25,7 @@ Examples:
   imucal doctor drive.mcap --junit doctor.xml --github
 
 Exit codes: 0 no row failed, 1 a row failed, 2 usage, 3 the log can't be
-read, 4 the data can't be analysed.
+read, 4 the data can't be analysed (with --strict: or a row warned).
 """)
 
 _COLOURS: "dict[Status, str]" = {"pass": "green", "warn": "yellow", "fail": "red", "unknown": "cyan"}
@@ -39,15 +41,7 @@ _START = 6
     metavar="AXIS",
     help="The axis that points up or down at the start, such as z-up, x-down.",
 )
-@flag("--json", "as_json", group=OUTPUT, help="Print the rows as JSON (SI) on standard output.")
-@option(
-    "--junit",
-    group=OUTPUT,
-    metavar="FILE",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Also write JUnit XML to FILE.",
-)
-@flag("--github", group=OUTPUT, help="Also print GitHub annotations (on standard error with --json).")
+@verdict_options
 @log_options
 def command(
     *, request: LogRequest, expect: str | None, as_json: bool, junit: Path | None, github: bool
@@ -64,25 +58,20 @@ def command(
     recording = request.read()
     found = diagnose(recording, expect=expect)
     if junit is not None:
-        from imucal.atomic import replacing
-        from imucal.checking.ci_files import junit_xml
-
-        with replacing(junit, ours="imucal doctor") as scratch:
-            scratch.write_text(
-                junit_xml("imucal doctor", found.source.path, cases_of(found)), encoding="utf-8"
-            )
-        print_note(junit)
+        write_junit(junit, cases_of(found), command="imucal doctor", source=found.source.path)
     if as_json:
         print_json(to_document(found))
     else:
         click.echo("\n".join(_table(found)))
     if github:
-        from imucal.checking.ci_files import github_annotations
-
-        for line in github_annotations(cases_of(found)):
-            echo(line, err=as_json)
+        print_annotations(cases_of(found), err=as_json)
     if found.status == "fail":
         click.get_current_context().exit(1)
+    if found.status == "warn" and is_set("strict"):
+        names = ", ".join(row.name for row in found.rows if row.status == "warn")
+        error = DataError(f"{names}: --strict allows no warning", place=found.source.path)
+        error.printed = True
+        raise error
 
 
 def _table(found: "Diagnosis") -> list[str]:
@@ -96,11 +85,6 @@ def _table(found: "Diagnosis") -> list[str]:
 
 def _lines(row: "Row") -> list[str]:
     word = click.style(f"{_WORDS[row.status]:<{_START}}", fg=_COLOURS[row.status])
-    advice = row.advice
-    if row.fix is not None and (typed := option_of(row.fix)):
-        advice = f"{advice}: {typed}" if advice else typed
-    text = f"{row.name}: {row.found}"
-    if advice:
-        text += f". {advice}"
+    text = f"{row.name}: {row.text}"
     first, *rest = textwrap.wrap(printable(text), width() - _START)
     return [f"{word}{first}", *(" " * _START + line for line in rest)]

@@ -24,7 +24,7 @@ from imucal.side_work import try_side_work
 
 #: Clocks that start with the sensor begin in 1970, so earlier stamps are no dates; in ns.
 _FIRST_DATE_NS = 946_684_800 * 10**9
-#: Stored fields of an `LogValue`.
+#: Stored fields of a `LogValue`.
 OF_VALUE = ("value", "low", "high", "variance", "variance_sd", "variance_growth", "level", "correlation_time")
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from imucal.health.diagnosis import Row
+from imucal.health.diagnosis import Question, Row, Values
 from imucal.health.turning import PROPER, Turning
 
 __all__ = ["HOW_TO_TURN", "ORDERS", "Orders", "axes_row", "explaining_orders"]
@@ -56,8 +56,8 @@ class Orders(ReadOnlyArrays):
 
     `possible`, shape (48,), are those of `ORDERS` that no turn excludes; `best` is the most likely. `scale`
     is in rad/s per unit of the samples, and `unit` its name for `imucal.read`, empty if there is none.
-    `explained`, shape (b,), are the parts that tell; those of `well_explained`
-    are little disturbed by translation.
+    `explained`, shape (b,), are the parts that tell; those of `well_explained` are little disturbed by
+    translation.
     """
 
     possible: BoolArray
@@ -164,37 +164,35 @@ def _refined(turning: Turning, scale: float, order: int, which: IntArray) -> flo
 
 def axes_row(turning: Turning | None, orders: Orders | None) -> Row:
     """Return the row of axes and signs."""
-    name, code = "axes and signs", "axes"
+    question = Question("axes and signs", "axes")
     if turning is None:
         found = "this log shows no turn of 35° or more within 3 s, with both sensors complete"
-        return Row(name=name, code=code, status="unknown", found=found, advice=f"{HOW_TO_TURN}.")
+        return question.answer("unknown", found, f"{HOW_TO_TURN}.")
     if orders is None:
         found = (
             "no order of the gyroscope's axes explains the accelerometer: the IMU moves more than it turns"
         )
-        return Row(name=name, code=code, status="unknown", found=found, advice=f"{HOW_TO_TURN}.")
+        return question.answer("unknown", found, f"{HOW_TO_TURN}.")
     parts, count = int(orders.explained.sum()), orders.count
-    values: dict[str, float | str | None] = {"possible": float(count), "turns": float(parts), "mapping": None}
+    values: Values = {"possible": float(count), "turns": float(parts), "mapping": None}
     if orders.possible[0] and count == 1:
         found = f"of the 48 orders and signs of the axes, {_turns(parts)} only the one of this log"
         values["mapping"] = _mapping(ORDERS[0])
-        return Row(name=name, code=code, status="pass", found=found, values=values)
+        return question.answer("pass", found, values=values)
     if orders.possible[0]:
         found = (
             f"{_turns(parts)} {count} of the 48 orders and signs of the axes, including the one of this log"
         )
-        return Row(
-            name=name, code=code, status="unknown", found=found, advice=f"{HOW_TO_TURN}.", values=values
-        )
+        return question.answer("unknown", found, f"{HOW_TO_TURN}.", values=values)
     if count > 1:
         found = f"{_turns(parts)} {count} of the 48 orders and signs of the axes, and not the one of this log"
         advice = f"Check the order and the signs of the axes; to find the right one: {HOW_TO_TURN.lower()}."
-        return Row(name=name, code=code, status="fail", found=found, advice=advice, values=values)
+        return question.answer("fail", found, advice, values=values)
     right = ORDERS[orders.best]
     values["mapping"] = _mapping(right)
     found = f"the order and signs of the axes contradict {parts} turns: {_sentence(right)}"
     advice = "Correct the axes in the driver; a filter diverges with these."
-    return Row(name=name, code=code, status="fail", found=found, advice=advice, values=values)
+    return question.answer("fail", found, advice, values=values)
 
 
 def _turns(parts: int) -> str:

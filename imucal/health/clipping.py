@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucal.arrays import FloatArray, IntArray
-from imucal.health.diagnosis import Row
+from imucal.health.diagnosis import Question, Row, Values
 from imucal.recording import Sensor
 from imucal.screening.windows import Profile, amount
 
@@ -38,18 +38,16 @@ class _Clip:
 
 def range_row(profiles: Sequence[Profile]) -> Row:
     """Return the row of clipped axes."""
-    name, code = "range", "saturated"
+    question = Question("range", "saturated")
     alive = [p for p in profiles if not p.constant]
     if not alive:
-        return Row(
-            name=name, code=code, status="unknown", found="no axis has data", advice="Check the driver."
-        )
+        return question.answer("unknown", "no axis has data", "Check the driver.")
     limits = [_clip(p, word) for p in alive for word in ("highest", "lowest")]
     clips = [clip for clip in limits if clip is not None]
-    largest: dict[str, float | str | None] = {p.name: _peak(p) for p in alive}
+    largest: Values = {p.name: _peak(p) for p in alive}
     if not clips:
         found = f"no axis stays at an extreme value; the largest are {' and '.join(_peaks(alive))}"
-        return Row(name=name, code=code, status="pass", found=found, values=largest)
+        return question.answer("pass", found, values=largest)
     worst = max(clips, key=lambda clip: clip.samples)
     limit = amount(worst.limit, worst.sensor)
     found = (
@@ -60,7 +58,7 @@ def range_row(profiles: Sequence[Profile]) -> Row:
     if others:
         found += f"; so {'is' if len(others) == 1 else 'are'} {', '.join(others)}"
     advice = "Choose a larger range of the sensor: a filter integrates the missing part of each peak."
-    return Row(name=name, code=code, status="fail", found=found, advice=advice, values=largest)
+    return question.answer("fail", found, advice, values=largest)
 
 
 def _peak(p: Profile) -> float:

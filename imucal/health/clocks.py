@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from imucal.findings import Finding, Level
-from imucal.health.diagnosis import Row, Status
+from imucal.health.diagnosis import Question, Row, Status, Values
 from imucal.recording import Recording
 from imucal.screening.values import check_rate
 from imucal.screening.windows import Profile
@@ -53,9 +53,9 @@ def clock_rows(recording: Recording, profiles: Sequence[Profile]) -> tuple[Row, 
     findings = (*recording.findings, *check_rate(profiles))
     return (
         _rate_row(recording, findings),
-        _gaps_row(recording, findings),
+        _gaps_row(recording),
         _stamps_row(recording, findings),
-        _clocks_row(recording, findings),
+        _clocks_row(findings),
     )
 
 
@@ -77,77 +77,60 @@ def _status(finding: Finding) -> Status:
     return _STATUS[finding.level]
 
 
-def _row_of(name: str, code: str, finding: Finding, status: Status) -> Row:
-    return Row(
-        name=name,
-        code=code,
-        status=status,
-        found=finding.text.removesuffix("."),
-        advice=finding.advice,
-        fix=finding.fix,
-        values={"finding": finding.code},
-    )
-
-
 def _rate_row(recording: Recording, findings: Sequence[Finding]) -> Row:
-    name, code = "rate", "rate"
+    question = Question("rate", "rate")
     worst, status = _worst(findings, _RATE)
     if worst is not None:
-        return _row_of(name, code, worst, status)
+        return question.answer_by(worst, status)
     clocks = {id(series.clock): series for series in recording.series}
     rates = list(dict.fromkeys(f"{series.rate_hz:.6g} Hz" for series in clocks.values()))
     jitters = [s.clock.jitter_s * s.rate_hz for s in clocks.values() if s.clock.jitter_s is not None]
     fastest = max((series.rate_hz for series in clocks.values()), default=None)
-    values: dict[str, float | str | None] = {"rate_hz": fastest, "jitter_periods": max(jitters, default=None)}
+    values: Values = {"rate_hz": fastest, "jitter_periods": max(jitters, default=None)}
     found = f"the sampling rate is {' and '.join(rates)}"
     if not jitters:
-        return Row(
-            name=name, code=code, status="pass", found=f"{found}; the log has no time stamps", values=values
-        )
+        return question.answer("pass", f"{found}; the log has no time stamps", values=values)
     found += f", and the stamps differ by {max(jitters):.2g} periods from an even grid (standard deviation)"
     if max(jitters) > _JITTER:
         advice = "Stamp samples by the sensor's interrupt, or give the filter an even grid of time."
-        return Row(name=name, code=code, status="warn", found=found, advice=advice, values=values)
-    return Row(name=name, code=code, status="pass", found=found, values=values)
+        return question.answer("warn", found, advice, values=values)
+    return question.answer("pass", found, values=values)
 
 
-def _gaps_row(recording: Recording, findings: Sequence[Finding]) -> Row:
-    name, code = "gaps", "gaps"
+def _gaps_row(recording: Recording) -> Row:
+    question = Question("gaps", "gaps")
     clocks = {id(series.clock): series.clock for series in recording.series}.values()
     missing = max((clock.missing / clock.grid_size for clock in clocks if clock.grid_size), default=0.0)
     longest = max((gap.duration_s for clock in clocks for gap in clock.gaps), default=0.0)
-    values: dict[str, float | str | None] = {"missing_share": missing, "longest_s": longest}
+    values: Values = {"missing_share": missing, "longest_s": longest}
     if not longest:
-        return Row(name=name, code=code, status="pass", found="no sample is missing", values=values)
-    texts = [finding.text.removesuffix(".") for finding in findings if finding.code == "gaps"]
-    found = (
-        texts[0] if texts else f"{missing:.2g} of all samples are missing; the longest gap is {longest:.4g} s"
-    )
+        return question.answer("pass", "no sample is missing", values=values)
+    found = f"{missing:.2%} of all samples are missing, and the longest gap is {longest:.4g} s"
     advice = "Look for lost messages: a full queue, a slow card, or a driver that polls too late."
     status: Status = "warn"
     if longest > _LONG_GAP_S or missing > _MANY_MISSING:
         status = "fail"
-    return Row(name=name, code=code, status=status, found=found, advice=advice, values=values)
+    return question.answer(status, found, advice, values=values)
 
 
 def _stamps_row(recording: Recording, findings: Sequence[Finding]) -> Row:
-    name, code = "time stamps", "stamps"
+    question = Question("time stamps", "stamps")
     worst, status = _worst(findings, _STAMPS)
     if worst is not None:
-        return _row_of(name, code, worst, status)
+        return question.answer_by(worst, status)
     if all(series.clock.start_ns is None for series in recording.series):
         found = "the log has no time stamps"
         advice = "Log the time of each sample."
-        return Row(name=name, code=code, status="unknown", found=found, advice=advice)
+        return question.answer("unknown", found, advice)
     found = "the time stamps increase, and none repeats"
-    return Row(name=name, code=code, status="pass", found=found)
+    return question.answer("pass", found)
 
 
-def _clocks_row(_: Recording, findings: Sequence[Finding]) -> Row:
-    name, code = "header against log time", "clocks-differ"
+def _clocks_row(findings: Sequence[Finding]) -> Row:
+    question = Question("header against log time", "clocks-differ")
     worst, status = _worst(findings, _CLOCKS)
     if worst is not None:
-        return _row_of(name, code, worst, status)
-    found = "the log has only one time for each sample"
+        return question.answer_by(worst, status)
+    found = "the log has one time for each sample, or two equal ones"
     advice = "Record a bag or MCAP file with header stamps."
-    return Row(name=name, code=code, status="unknown", found=found, advice=advice)
+    return question.answer("unknown", found, advice)

@@ -8,7 +8,7 @@ from scipy.special import stdtrit
 
 from imucal.arrays import FloatArray
 from imucal.health.axes import HOW_TO_TURN, Orders
-from imucal.health.diagnosis import Row
+from imucal.health.diagnosis import Question, Row, Values
 from imucal.health.turning import MODEL_ERROR, PROPER, Turning
 
 __all__ = ["Delay", "delay_row", "estimate_delay"]
@@ -157,15 +157,15 @@ def _equations(turns: Turning, rates: FloatArray, force: FloatArray) -> tuple[Fl
 
 def delay_row(turning: Turning | None, orders: Orders | None, *, period_s: float) -> Row:
     """Return the row of the delay; `period_s` is the longer sampling period of the two sensors."""
-    name, code = "delay of the sensors", "sensor-delay"
+    question = Question("delay of the sensors", "sensor-delay")
     advice = f"{HOW_TO_TURN}, five times or more."
     delay = None
     if turning is not None and orders is not None and (orders.possible[0] or orders.count == 1):
         delay = estimate_delay(turning, orders)
     if delay is None:
         found = "too few turns are explained by the gyroscope for a delay between the sensors"
-        return Row(name=name, code=code, status="unknown", found=found, advice=advice)
-    values: dict[str, float | str | None] = {
+        return question.answer("unknown", found, advice)
+    values: Values = {
         "delay_s": delay.seconds,
         "low_s": delay.seconds - delay.half_width_s,
         "high_s": delay.seconds + delay.half_width_s,
@@ -180,10 +180,10 @@ def delay_row(turning: Turning | None, orders: Orders | None, *, period_s: float
     least = abs(delay.seconds) - delay.half_width_s
     if least > max(_LARGE_S, _LARGE_PERIODS * period_s):
         fix = "Stamp both sensors from one interrupt, or give the delay to the filter."
-        return Row(name=name, code=code, status="fail", found=found, advice=fix, values=values)
+        return question.answer("fail", found, fix, values=values)
     if least > notable:
         fix = "Give the delay to the filter, or use the same digital filter for both sensors."
-        return Row(name=name, code=code, status="warn", found=found, advice=fix, values=values)
+        return question.answer("warn", found, fix, values=values)
     if abs(delay.seconds) + delay.half_width_s > 2 * notable:
-        return Row(name=name, code=code, status="unknown", found=found, advice=advice, values=values)
-    return Row(name=name, code=code, status="pass", found=found, values=values)
+        return question.answer("unknown", found, advice, values=values)
+    return question.answer("pass", found, values=values)

@@ -7,7 +7,7 @@ from imucal.health.axes import axes_row, explaining_orders
 from imucal.health.clipping import range_row
 from imucal.health.clocks import clock_rows
 from imucal.health.delay import delay_row
-from imucal.health.diagnosis import Diagnosis, Row
+from imucal.health.diagnosis import Diagnosis, Question, Row, Values
 from imucal.health.samples import sample_rows
 from imucal.health.spectrum import filter_row, vibration_row
 from imucal.health.stream import Stream
@@ -71,19 +71,17 @@ def _turning(stream: Stream) -> Turning | None:
 
 
 def _temperature_row(temperature: Temperature | None) -> Row:
-    name, code = "temperature", "temperature"
+    question = Question("temperature", "temperature")
     degrees = (
         temperature.samples[np.isfinite(temperature.samples)] if temperature is not None else np.zeros(0)
     )
     if not degrees.size:
         found = "the log has no temperature"
-        return Row(
-            name=name, code=code, status="unknown", found=found, advice="Log the temperature of the IMU."
-        )
+        return question.answer("unknown", found, "Log the temperature of the IMU.")
     low, high = (float(one) for one in np.quantile(degrees, [0.01, 0.99]))
-    values: dict[str, float | str | None] = {"low_degc": low, "high_degc": high}
+    values: Values = {"low_degc": low, "high_degc": high}
     found = f"the temperature is between {low:.1f} and {high:.1f} °C"
     if high - low > _WARMED_K:
         advice = "Switch the IMU on 15 min earlier, or compensate the bias by temperature."
-        return Row(name=name, code=code, status="warn", found=found, advice=advice, values=values)
-    return Row(name=name, code=code, status="pass", found=found, values=values)
+        return question.answer("warn", found, advice, values=values)
+    return question.answer("pass", found, values=values)

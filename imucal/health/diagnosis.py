@@ -1,16 +1,18 @@
 """What `imucal.doctor` returns: one row per question about a stream, and the verdict."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
 from imucal.errors import Fix
+from imucal.findings import Finding
 from imucal.recording import Source
 
-__all__ = ["WORST_FIRST", "Diagnosis", "Row", "Status"]
+__all__ = ["WORST_FIRST", "Diagnosis", "Question", "Row", "Status", "Values"]
 
 #: unknown: this log cannot tell.
 Status: TypeAlias = Literal["pass", "warn", "fail", "unknown"]
+#: Numbers and names of a row, for scripts.
+Values: TypeAlias = dict[str, float | str | None]
 WORST_FIRST: tuple[Status, ...] = ("fail", "warn", "unknown", "pass")
 
 
@@ -28,9 +30,9 @@ class Row:
     status
         The answer.
     found
-        What was found, as one sentence without a full stop, with numbers.
+        What was found, as one sentence with numbers.
     advice
-        What to do; for ``unknown``, how to record a log that tells. Empty if nothing.
+        What to do, as one sentence; for ``unknown``, how to record a log that tells. Empty if nothing.
     fix
         The argument of `imucal.read`, and its value, that follows the advice.
     values
@@ -43,7 +45,52 @@ class Row:
     found: str
     advice: str = ""
     fix: Fix | None = None
-    values: Mapping[str, float | str | None] = field(default_factory=dict)
+    values: Values = field(default_factory=dict)
+
+    @property
+    def text(self) -> str:
+        """What was found, and what to do."""
+        return f"{self.found} {self.advice}".rstrip()
+
+
+@dataclass(frozen=True)
+class Question:
+    """A question about every stream: the name and the code of its row."""
+
+    name: str
+    code: str
+
+    def answer(
+        self,
+        status: Status,
+        found: str,
+        advice: str = "",
+        *,
+        fix: Fix | None = None,
+        values: Values | None = None,
+    ) -> Row:
+        """Return the row; `found` is without its full stop."""
+        return Row(
+            name=self.name,
+            code=self.code,
+            status=status,
+            found=f"{found}.",
+            advice=advice,
+            fix=fix,
+            values=values or {},
+        )
+
+    def answer_by(self, finding: Finding, status: Status, values: Values | None = None) -> Row:
+        """Return the row of a finding of `imucal.fit`, with its words."""
+        return Row(
+            name=self.name,
+            code=self.code,
+            status=status,
+            found=finding.text,
+            advice=finding.advice,
+            fix=finding.fix,
+            values={**(values or {}), "axis": finding.axis, "finding": finding.code},
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,17 +110,20 @@ class Diagnosis:
     @property
     def sentence(self) -> str:
         """The verdict, such as ``Not fit for a filter: axes and signs, clipping``."""
-        named = [", ".join(row.name for row in self.rows if row.status == status) for status in WORST_FIRST]
-        fails, warns, _, _ = named
+        fails, warns, unknowns, _ = ([r.name for r in self.rows if r.status == s] for s in WORST_FIRST)
         match self.status:
             case "fail":
-                return f"Not fit for a filter: {fails}"
+                return f"Not fit for a filter: {', '.join(fails)}"
             case "warn":
-                return f"Look first: {warns}"
+                return f"Check first: {', '.join(warns)}"
             case "pass":
-                return "Fit for a filter, as far as this log tells"
-        return "This log tells nothing"
+                return f"Fit for a filter, as far as this log tells{_open(len(unknowns), len(self.rows))}"
+        return "This log answers no question"
 
     def __repr__(self) -> str:
         bad = [f"{row.status} {row.name}: {row.found}" for row in self.rows if row.status in {"fail", "warn"}]
         return "\n".join([f"{self.source.name}: {self.sentence}", *bad])
+
+
+def _open(unknown: int, questions: int) -> str:
+    return f"; it leaves {unknown} of {questions} questions open" if unknown else ""

@@ -40,7 +40,7 @@ def cases_of(diagnosis: Diagnosis) -> tuple[Case, ...]:
         Case(
             where="doctor",
             rule=row.name,
-            text=f"{row.found}; {row.advice}" if row.advice else row.found,
+            text=row.text,
             outcome=_OUTCOMES[row.status],
             kind=row.status,
         )

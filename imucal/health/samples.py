@@ -8,7 +8,7 @@ from scipy.ndimage import median_filter
 
 from imucal.arrays import BoolArray, blocks
 from imucal.findings import Finding
-from imucal.health.diagnosis import Row, Status
+from imucal.health.diagnosis import Question, Row, Status, Values
 from imucal.health.stream import Stream
 from imucal.recording import AXES, Recording, Sensor
 from imucal.screening.interleaved import check_interleaved
@@ -43,29 +43,42 @@ _SPIKES = 3
 _MANY_SPIKES_PER_H = 3600.0
 
 
+_STUCK = Question("stuck samples", "stuck")
+_HELD = Question("repeated samples", "held-samples")
+_BETWEEN = Question("interpolated samples", "interpolated-samples")
+_SPIKES_OF = Question("spikes", "spikes")
+_COPIES = Question("copied axes", "duplicate-axes")
+#: Questions that some samples cannot answer.
+_OF_MANY = (_STUCK, _HELD, _BETWEEN, _SPIKES_OF, _COPIES)
+_FEW = "no axis has enough samples that change"
+_LONGER = "Record for 10 s or longer."
+
+
 def sample_rows(stream: Stream) -> tuple[Row, ...]:
     """Return the rows of samples, in the order of the checks."""
     filled = (*stream.recording.findings, *_filled(stream))
+    alive = [p for p in stream.profiles if p.windows.size and not p.constant]
+    damaged = [one for p in stream.profiles for one in check_not_finite(p)]
+    numbers = Question("samples that are numbers", "not-finite")
+    rows = (
+        _axes_row(stream.recording, stream.profiles),
+        _row(numbers, damaged, "all samples are finite"),
+    )
+    if not any(p.series.n >= _MIN_SAMPLES for p in alive):
+        return (*rows, *(question.answer("unknown", _FEW, _LONGER) for question in _OF_MANY))
+    stuck = [one for p in alive for one in _stuck(p, stream)]
     held = _once_per_sensor(filled, "held-samples")
     between = _once_per_sensor(filled, "interpolated-samples")
-    alive = [p for p in stream.profiles if p.windows.size and not p.constant]
-    stuck = [one for p in alive for one in _stuck(p, stream)]
     copies = [*check_duplicates(alive), *check_interleaved(alive)]
-    damaged = [one for p in stream.profiles for one in check_not_finite(p)]
+    still = "no axis stays at one value while the IMU moves"
+    straight = "no samples are on a line between their neighbours"
     return (
-        _axes_row(stream.recording, stream.profiles),
-        _row("samples that are numbers", "not-finite", damaged, "all samples are finite"),
-        _row("stuck samples", "stuck", stuck, "no axis stays at one value while the IMU moves", worst="fail"),
-        _row("repeated samples", "held-samples", held, "no samples repeat on all axes", worst="fail"),
-        _row(
-            "interpolated samples",
-            "interpolated-samples",
-            between,
-            "no samples are on a line between their neighbours",
-            worst="fail",
-        ),
+        *rows,
+        _row(_STUCK, stuck, still, worst="fail"),
+        _row(_HELD, held, "no samples repeat on all axes", worst="fail"),
+        _row(_BETWEEN, between, straight, worst="fail"),
         _spikes_row(alive),
-        _row("copied axes", "duplicate-axes", copies, "no two axes have the same samples"),
+        _row(_COPIES, copies, "no two axes have the same samples"),
     )
 
 
@@ -82,31 +95,22 @@ def _once_per_sensor(findings: Sequence[Finding], code: str) -> list[Finding]:
     return list({finding.axis: finding for finding in reversed(findings) if finding.code == code}.values())
 
 
-def _row(name: str, code: str, findings: Sequence[Finding], good: str, *, worst: Status = "warn") -> Row:
-    """Return a row of the findings; warnings have the status `worst`."""
+def _row(question: Question, findings: Sequence[Finding], good: str, *, worst: Status = "warn") -> Row:
+    """Return the row of the worst finding, with the axes of the others; warnings have the status `worst`."""
     if not findings:
-        return Row(name=name, code=code, status="pass", found=good)
+        return question.answer("pass", good)
     levels: dict[str, Status] = {"error": "fail", "warning": worst, "info": "warn"}
     order = ("error", "warning", "info")
     first, *others = sorted(findings, key=lambda one: order.index(one.level))
+    row = question.answer_by(first, levels[first.level])
     axis = f"{first.axis}: " if first.axis else ""
-    found = f"{axis}{first.text.removesuffix('.')}"
     more = [one.axis for one in others if one.axis]
-    if more:
-        found += f" (also {name_list(more)})"
-    return Row(
-        name=name,
-        code=code,
-        status=levels[first.level],
-        found=found,
-        advice=first.advice,
-        fix=first.fix,
-        values={"axis": first.axis, "finding": first.code},
-    )
+    also = f" So {'is' if len(more) == 1 else 'are'} {name_list(more)}." if more else ""
+    return replace(row, found=f"{axis}{row.found}{also}")
 
 
 def _axes_row(recording: Recording, profiles: Sequence[Profile]) -> Row:
-    name, code = "axes with data", "axis-missing"
+    question = Question("axes with data", "axis-missing")
     present = {series.name for series in recording.series}
     wanted = [f"{sensor.short}_{axis}" for sensor in Sensor for axis in AXES]
     missing = [one for one in wanted if one not in present]
@@ -114,10 +118,10 @@ def _axes_row(recording: Recording, profiles: Sequence[Profile]) -> Row:
     if missing:
         found = f"{name_list(missing)} {'is' if len(missing) == 1 else 'are'} not in the log"
         advice = "A filter needs three axes of both sensors: check the choice of columns or topics."
-        return Row(name=name, code=code, status="fail", found=found, advice=advice)
+        return question.answer("fail", found, advice)
     if empty:
-        return _row(name, code, empty, "")
-    return Row(name=name, code=code, status="pass", found="all six axes have data")
+        return _row(question, empty, "")
+    return question.answer("pass", "all six axes have data")
 
 
 def _moves(p: Profile, stream: Stream) -> BoolArray:
@@ -163,21 +167,18 @@ def _stuck(p: Profile, stream: Stream) -> tuple[Finding, ...]:
 
 
 def _spikes_row(profiles: Sequence[Profile]) -> Row:
-    name, code = "spikes", "spikes"
     counts = {p.name: _spikes(p) for p in profiles}
     total = sum(counts.values())
-    values: dict[str, float | str | None] = {axis: float(count) for axis, count in counts.items()}
+    values: Values = {axis: float(count) for axis, count in counts.items()}
     most = max(counts, key=lambda axis: counts[axis], default=None)
     if most is None or counts[most] < _SPIKES:
         found = "fewer than three single samples per axis are far from both their neighbours"
-        return Row(name=name, code=code, status="pass", found=found, values=values)
+        return _SPIKES_OF.answer("pass", found, values=values)
     hours = max(p.series.duration_s for p in profiles) / 3600
     found = f"{total} single samples are far from both their neighbours, most of them on {most}"
     status: Status = "fail" if counts[most] / hours > _MANY_SPIKES_PER_H else "warn"
-    return Row(
-        name=name, code=code, status=status, found=found,
-        advice="Check the driver and the cable; let the filter reject outliers.", values=values,
-    )  # fmt: skip
+    advice = "Check the driver and the cable; let the filter reject outliers."
+    return _SPIKES_OF.answer(status, found, advice, values=values)
 
 
 def _spikes(p: Profile) -> int:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from imucal.arrays import FloatArray
-from imucal.health.diagnosis import Row
+from imucal.health.diagnosis import Question, Row, Values
 from imucal.health.stream import Stream
 from imucal.screening.motion import density_at_rest
 
@@ -46,22 +46,22 @@ def _densities(stream: Stream) -> dict[str, tuple[FloatArray, FloatArray]]:
 
 def filter_row(stream: Stream) -> Row:
     """Return the row of the output filter, which delays the samples and hides vibration."""
-    name, code = "output filter", "roll-off"
+    question = Question("output filter", "roll-off")
     densities = _densities(stream)
     if not densities:
         found = "no rest is long enough for a spectrum"
-        return Row(name=name, code=code, status="unknown", found=found, advice=_REST)
-    values: dict[str, float | str | None] = {}
+        return question.answer("unknown", found, _REST)
+    values: Values = {}
     for axis, (frequency, density) in densities.items():
         edge = _corner(frequency, density)
         if edge is not None:
             values[axis] = edge
     if not values:
         found = "the noise at rest is flat up to half the sampling rate"
-        return Row(name=name, code=code, status="pass", found=found)
+        return question.answer("pass", found)
     lowest = min(values, key=lambda axis: float(values[axis] or 0))
     found = f"an output filter halves the noise of {lowest} at about {values[lowest]:.3g} Hz"
-    return Row(name=name, code=code, status="pass", found=found, values=values)
+    return question.answer("pass", found, values=values)
 
 
 def _corner(frequency: FloatArray, density: FloatArray) -> float | None:
@@ -80,23 +80,23 @@ def _corner(frequency: FloatArray, density: FloatArray) -> float | None:
 
 def vibration_row(stream: Stream) -> Row:
     """Return the row of lines in the spectrum at rest."""
-    name, code = "vibration", "tone"
+    question = Question("vibration", "tone")
     densities = _densities(stream)
     if not densities:
         found = "no rest is long enough for a spectrum"
-        return Row(name=name, code=code, status="unknown", found=found, advice=_REST)
+        return question.answer("unknown", found, _REST)
     lines = [(axis, *line) for axis, pair in densities.items() for line in _lines(*pair)]
     if not lines:
         found = "the spectrum at rest has no line above the noise"
-        return Row(name=name, code=code, status="pass", found=found)
+        return question.answer("pass", found)
     axis, frequency, share = max(lines, key=lambda line: line[2])
     found = (
         f"{axis} has a line at {frequency:.4g} Hz at rest with {share:.0%} of the noise power; it may be an "
         "alias, which one sampling rate can't tell"
     )
-    values: dict[str, float | str | None] = {"axis": axis, "frequency_hz": frequency, "share": share}
+    values: Values = {"axis": axis, "frequency_hz": frequency, "share": share}
     advice = "Look for fans, motors and mains; isolate the IMU, and use its low-pass filter."
-    return Row(name=name, code=code, status="warn", found=found, advice=advice, values=values)
+    return question.answer("warn", found, advice, values=values)
 
 
 def _lines(frequency: FloatArray, density: FloatArray) -> Sequence[tuple[float, float]]:

@@ -10,7 +10,7 @@ from imucal.errors import ChoiceError, Fix
 from imucal.evidence import gravity_unit, gyroscope_step_unit, is_gravity_per_sample
 from imucal.findings import Finding
 from imucal.health.axes import HOW_TO_TURN, Orders
-from imucal.health.diagnosis import Row
+from imucal.health.diagnosis import Question, Row, Values
 from imucal.health.stream import Stream
 from imucal.recording import Sensor
 from imucal.screening.values import check_accelerometer_unit, check_gyroscope_unit, check_swapped
@@ -46,6 +46,7 @@ _STEADY = 0.2
 #: Cosine of the largest angle between gravity and the axis that is up: 30°.
 _ALONG = math.cos(math.radians(30.0))
 
+_GYROSCOPE_UNIT = Question("gyroscope unit", "gyroscope-unit")
 _RECORD_RESTS = "Record some rests of 2 s."
 _WHOLE = "Log x, y and z of the sensor."
 
@@ -83,52 +84,39 @@ def has_gravity(stream: Stream) -> bool:
     return steady and (known or middle > _NO_GRAVITY * G0)
 
 
-def _row_of(name: str, code: str, finding: Finding, values: dict[str, float | str | None]) -> Row:
-    return Row(
-        name=name,
-        code=code,
-        status="fail",
-        found=finding.text.removesuffix("."),
-        advice=finding.advice,
-        fix=finding.fix,
-        values={**values, "finding": finding.code},
-    )
-
-
 def accelerometer_unit_row(stream: Stream) -> Row:
     """Return the row of the accelerometer's unit."""
-    name, code = "accelerometer unit", "accelerometer-unit"
+    question = Question("accelerometer unit", "accelerometer-unit")
     length = gravity_length(stream)
     if length is None:
         found = "the length of gravity needs all three axes of the accelerometer"
-        return Row(name=name, code=code, status="unknown", found=found, advice=_WHOLE)
-    values: dict[str, float | str | None] = {"length": length}
+        return question.answer("unknown", found, _WHOLE)
+    values: Values = {"length": length}
     axes = _in_one_attitude(stream)
     swapped = check_swapped((*axes, *stream.quiet(Sensor.GYROSCOPE)))
     if swapped:
-        return _row_of(name, code, swapped[0], values)
+        return question.answer_by(swapped[0], "fail", values)
     if not has_gravity(stream):
         found = "the accelerometer shows no gravity, so its unit can't be told"
-        return Row(name=name, code=code, status="unknown", found=found, advice=_RECORD_RESTS, values=values)
+        return question.answer("unknown", found, _RECORD_RESTS, values=values)
     for finding in check_accelerometer_unit(axes):
-        return _row_of(name, code, finding, values)
+        return question.answer_by(finding, "fail", values)
     found = f"at quiet moments |a| is {length:.4g} m/s^2, expected {G0:.1f}"
-    return Row(name=name, code=code, status="pass", found=found, values=values)
+    return question.answer("pass", found, values=values)
 
 
 def gyroscope_unit_row(stream: Stream, orders: Orders | None) -> Row:
     """Return the row of the gyroscope's unit: by turns, by steps, or by impossible rates."""
-    name, code = "gyroscope unit", "gyroscope-unit"
     if orders is not None:
         return _unit_by_turns(orders)
     axes = stream.of_sensor(Sensor.GYROSCOPE)
     alive = [p for p in axes if not p.constant]
     if not alive:
         found = "the gyroscope has no data"
-        return Row(name=name, code=code, status="unknown", found=found, advice=_WHOLE)
+        return _GYROSCOPE_UNIT.answer("unknown", found, _WHOLE)
     resting = stream.quiet(Sensor.GYROSCOPE) if len(stream.rests) else ()
     for finding in check_gyroscope_unit(resting):
-        return _row_of(name, code, finding, {"scale": None})
+        return _GYROSCOPE_UNIT.answer_by(finding, "fail", {"scale": None})
     steps = [p.lsb for p in alive]
     by_step = gyroscope_step_unit(steps)
     fastest = max(float(np.quantile(np.abs(p.series.samples), 1 - _FAST_SHARE)) for p in alive)
@@ -138,12 +126,12 @@ def gyroscope_unit_row(stream: Stream, orders: Orders | None) -> Row:
     elif by_step is not None and by_step[0] == "deg/s":
         in_degrees = f"its steps of {steps[0]:.5g} are a usual LSB in deg/s"
     if in_degrees:
-        return _row_of(name, code, _unit_finding(in_degrees), {"scale": None})
+        return _GYROSCOPE_UNIT.answer_by(_unit_finding(in_degrees), "fail", {"scale": None})
     if by_step is not None:
         found = f"its steps of {steps[0]:.5g} rad/s are a usual LSB, {by_step[1]:.5g} deg/s"
-        return Row(name=name, code=code, status="pass", found=found, values={"scale": None})
+        return _GYROSCOPE_UNIT.answer("pass", found, values={"scale": None})
     found = "no turn compares the gyroscope with gravity"
-    return Row(name=name, code=code, status="unknown", found=found, advice=f"{HOW_TO_TURN}.")
+    return _GYROSCOPE_UNIT.answer("unknown", found, f"{HOW_TO_TURN}.")
 
 
 def _unit_finding(reason: str) -> Finding:
@@ -155,8 +143,7 @@ def _unit_finding(reason: str) -> Finding:
 
 
 def _unit_by_turns(orders: Orders) -> Row:
-    name, code = "gyroscope unit", "gyroscope-unit"
-    values: dict[str, float | str | None] = {"scale": orders.scale, "finding": None}
+    values: Values = {"scale": orders.scale, "finding": None}
     if orders.unit == "rad/s":
         return _scale_row(orders, values)
     values["finding"] = "unit-suspect"
@@ -165,20 +152,19 @@ def _unit_by_turns(orders: Orders) -> Row:
     if orders.unit:
         advice = f"Run again with --gyro-unit {orders.unit}; all its numbers scale with the unit."
         fix = Fix("", "gyro_unit", orders.unit)
-        return Row(name=name, code=code, status="fail", found=found, advice=advice, fix=fix, values=values)
+        return _GYROSCOPE_UNIT.answer("fail", found, advice, fix=fix, values=values)
     if abs(orders.scale * math.pi / 180 - 1) < _WRONG_SCALE:
         advice = "Values in rad/s seem to have been read as deg/s: run again with --gyro-unit rad/s."
         fix = Fix("", "gyro_unit", "rad/s")
-        return Row(name=name, code=code, status="fail", found=found, advice=advice, fix=fix, values=values)
+        return _GYROSCOPE_UNIT.answer("fail", found, advice, fix=fix, values=values)
     advice = (
         f"Give the gyroscope's scale when reading: --gyro-scale {orders.scale:.4g}, if these are raw counts."
     )
     fix = Fix("", "gyro_scale", f"{orders.scale:.4g}")
-    return Row(name=name, code=code, status="fail", found=found, advice=advice, fix=fix, values=values)
+    return _GYROSCOPE_UNIT.answer("fail", found, advice, fix=fix, values=values)
 
 
-def _scale_row(orders: Orders, values: dict[str, float | str | None]) -> Row:
-    name, code = "gyroscope unit", "gyroscope-unit"
+def _scale_row(orders: Orders, values: Values) -> Row:
     low, high = orders.scale_range
     error = abs(orders.scale - 1)
     sure = 0.0 if low < 1 < high else min(abs(low - 1), abs(high - 1))
@@ -186,41 +172,37 @@ def _scale_row(orders: Orders, values: dict[str, float | str | None]) -> Row:
     advice = "Check the range of the gyroscope in the driver, or calibrate it."
     if error > _NOTABLE_SCALE and sure <= _NOTABLE_SCALE:
         found += f", {low:.2f} in one half and {high:.2f} in the other"
-        return Row(
-            name=name, code=code, status="unknown", found=found, advice=f"{HOW_TO_TURN}.", values=values
-        )
+        return _GYROSCOPE_UNIT.answer("unknown", found, f"{HOW_TO_TURN}.", values=values)
     if error > _WRONG_SCALE:
-        return Row(name=name, code=code, status="fail", found=found, advice=advice, values=values)
+        return _GYROSCOPE_UNIT.answer("fail", found, advice, values=values)
     if error > _NOTABLE_SCALE:
-        return Row(name=name, code=code, status="warn", found=found, advice=advice, values=values)
-    return Row(name=name, code=code, status="pass", found=found, values=values)
+        return _GYROSCOPE_UNIT.answer("warn", found, advice, values=values)
+    return _GYROSCOPE_UNIT.answer("pass", found, values=values)
 
 
 def gravity_row(stream: Stream) -> Row:
     """Return the row of gravity in the samples."""
-    name, code = "gravity", "no-gravity"
+    question = Question("gravity", "no-gravity")
     length = gravity_length(stream)
     if length is None:
         found = "gravity needs all three axes of the accelerometer"
-        return Row(name=name, code=code, status="unknown", found=found, advice=_WHOLE)
-    values: dict[str, float | str | None] = {"length": length}
+        return question.answer("unknown", found, _WHOLE)
+    values: Values = {"length": length}
     if not has_gravity(stream):
         found = f"the accelerometer shows no gravity at quiet moments: |a| is {length:.2g} m/s^2"
         advice = "If a driver removes gravity, log the raw acceleration: a filter needs it."
-        return Row(name=name, code=code, status="fail", found=found, advice=advice, values=values)
+        return question.answer("fail", found, advice, values=values)
     unit = gravity_unit(length)
     if unit is None:
         found = f"|a| is {length:.3g} at quiet moments, which is gravity in no usual unit"
-        return Row(
-            name=name,
-            code=code,
-            status="unknown",
-            found=found,
-            advice="Correct the unit first.",
+        return question.answer(
+            "unknown",
+            found,
+            "Correct the unit first.",
             values=values,
         )
     found = f"gravity is in the samples: |a| is {length:.3g} {unit} at quiet moments"
-    return Row(name=name, code=code, status="pass", found=found, values=values)
+    return question.answer("pass", found, values=values)
 
 
 def check_expected(expect: str | None) -> None:
@@ -232,30 +214,30 @@ def check_expected(expect: str | None) -> None:
 
 def up_row(stream: Stream, expect: str | None) -> Row:
     """Return the row of the axis that points up at the first rest."""
-    name, code = "axis that is up", "up"
+    question = Question("axis that is up", "up")
     how = "Begin with a rest of 2 s in the usual attitude, and give --expect, such as z-up."
     direction = _first_direction(stream)
     if direction is None:
         found = "there is no quiet moment with gravity on three axes"
-        return Row(name=name, code=code, status="unknown", found=found, advice=how)
+        return question.answer("unknown", found, how)
     axis = int(np.abs(direction).argmax())
     seen = f"{'xyz'[axis]}-{'up' if direction[axis] > 0 else 'down'}"
     angle = math.degrees(math.acos(min(1.0, float(np.abs(direction[axis])))))
-    values: dict[str, float | str | None] = {"up": seen, "angle_deg": angle}
+    values: Values = {"up": seen, "angle_deg": angle}
     at_first = f"{seen} at the first rest, {angle:.0f}° off, if the specific force points up at rest (ROS)"
     if expect is None:
         found = f"{at_first}; a log alone can't tell whether this is right"
-        return Row(name=name, code=code, status="unknown", found=found, advice=how, values=values)
+        return question.answer("unknown", found, how, values=values)
     if np.abs(direction[axis]) < _ALONG:
         found = f"no axis is within 30° of gravity at the first rest; the nearest is {seen}"
-        return Row(name=name, code=code, status="unknown", found=found, advice=how, values=values)
+        return question.answer("unknown", found, how, values=values)
     if seen == expect:
-        return Row(name=name, code=code, status="pass", found=at_first, values=values)
+        return question.answer("pass", at_first, values=values)
     found = f"{at_first}; expected {expect}"
     advice = "Check how the IMU is mounted, and the order and signs of the axes in the driver."
     if seen[0] == expect[0]:
         advice = "The accelerometer is inverted (it contains gravity, not f), or the IMU is upside down."
-    return Row(name=name, code=code, status="fail", found=found, advice=advice, values=values)
+    return question.answer("fail", found, advice, values=values)
 
 
 def _first_direction(stream: Stream) -> FloatArray | None:

@@ -6,7 +6,8 @@ from dataclasses import replace
 from lxml import etree
 
 from imucal.checking import CheckResult, check, parse_limits
-from imucal.checking.verdict import github_annotations, junit_xml, to_document
+from imucal.checking.ci_files import github_annotations, junit_xml
+from imucal.checking.verdict import cases_of, to_document
 from imucal.recording import Source
 from tests.report.synthetic import consumer_report
 
@@ -47,10 +48,15 @@ def test_an_unknown_interval_is_null() -> None:
     assert (row["low"], row["high"], row["verdict"]) == (0, None, "undecided")
 
 
+def xml_of(result: CheckResult) -> str:
+    """Return the JUnit XML of a check."""
+    return junit_xml("imucal check", result.source, cases_of(result))
+
+
 def test_junit_has_a_case_for_each_row() -> None:
     """An undecided row is skipped, or fails if it fails the check."""
     for undecided, failures, skipped in (("pass", 2, 1), ("fail", 3, 0)):
-        root = etree.fromstring(junit_xml(_result(undecided=undecided)).encode())
+        root = etree.fromstring(xml_of(_result(undecided=undecided)).encode())
         (suite,) = root
         assert len(suite) == int(suite.attrib["tests"]) == 9
         assert len(suite.findall("testcase/failure")) == int(suite.attrib["failures"]) == failures
@@ -61,16 +67,16 @@ def test_junit_has_a_case_for_each_row() -> None:
 
 def test_any_log_name_gives_valid_xml() -> None:
     """The name contains angle brackets and control characters."""
-    root = etree.fromstring(junit_xml(_result(path='<a>\x00&"b')).encode())
+    root = etree.fromstring(xml_of(_result(path='<a>\x00&"b')).encode())
     assert root[0].get("name") == '<a> &"b'
 
 
 def test_github_annotations_are_escaped() -> None:
     """Per cent, commas and colons would end a property. An undecided row is a warning."""
-    lines = github_annotations(_result(), file="ci/limits, mine.toml")
+    lines = github_annotations(cases_of(_result()), file="ci/limits, mine.toml")
     assert len(lines) == 3
     place = "file=ci/limits%2C mine.toml,title=imucal"
     assert lines[0].startswith(f"::error {place} gyro%3A missing <= 0.1 %25::gyro: missing is 1.0989 %25;")
     assert any(line.startswith(f"::warning {place} gyro_x%3A K <= 1.1e-06 ") for line in lines)
     assert all("\n" not in line for line in lines)
-    assert github_annotations(_result())[0].startswith("::error title=")
+    assert github_annotations(cases_of(_result()))[0].startswith("::error title=")

@@ -34,7 +34,7 @@ def test_a_good_stream_passes(drive: Path) -> None:
     done = run("doctor", "drive.csv", "-q", cwd=drive)
     assert (done.returncode, done.stderr) == (0, "")
     verdict, *rows = done.stdout.splitlines()
-    assert verdict == "Fit for a filter, as far as this log tells"
+    assert verdict == "Fit for a filter, as far as this log tells; it leaves 5 of 21 questions open"
     assert any(row.startswith("pass  axes and signs: ") for row in rows)
     assert any(row.startswith("?     temperature: ") for row in rows)
     assert max(map(len, rows)) <= 80
@@ -70,3 +70,26 @@ def test_a_narrow_terminal_and_annotations(drive: Path) -> None:
     table = [line for line in done.stdout.splitlines() if not line.startswith("::")]
     assert max(map(len, table)) <= 40
     assert "::error title=imucal doctor%3A axes and signs::" in done.stdout
+
+
+def test_a_warning_is_refused_if_strict(drive: Path) -> None:
+    """A lost sample is a warning; the table is printed in any case."""
+    lines = (drive / "drive.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    (drive / "lost.csv").write_text("".join(lines[:500] + lines[501:]), encoding="utf-8")
+    done = run("doctor", "lost.csv", "-q", cwd=drive)
+    assert done.returncode == 0
+    assert done.stdout.splitlines()[0] == "Check first: gaps"
+    strict = run("doctor", "lost.csv", "-q", "--strict", cwd=drive)
+    assert (strict.returncode, strict.stdout) == (4, done.stdout)
+    assert strict.stderr == "Error: lost.csv: gaps: --strict allows no warning\n"
+
+
+def test_a_log_of_few_samples_passes_no_check_of_them(drive: Path) -> None:
+    """It says how much it leaves open."""
+    done = run("doctor", "drive.csv", "--take", "1s", "--json", "-q", cwd=drive)
+    document = json.loads(done.stdout)
+    states = {row["code"]: row["status"] for row in document["rows"]}
+    assert {states[code] for code in ("stuck", "held-samples", "interpolated-samples", "spikes")} == {
+        "unknown"
+    }
+    assert "questions open" in document["sentence"]
