@@ -90,12 +90,12 @@ def inside(case: Case, seeds: range) -> tuple[list[list[bool]], list[Calibration
 
 @pytest.mark.parametrize("name", CASES)
 def test_intervals_contain_the_truth(name: str) -> None:
-    """Thirty parameters of three logs, correlated within a log; more logs are slow."""
-    hits, results = inside(CASES[name], range(740_000, 740_003))
+    """Thirty parameters of five logs, correlated within a log."""
+    hits, results = inside(CASES[name], range(740_000, 740_005))
     assert within_binomial(np.array([np.mean(each) for each in hits])[:, None], 0.92, 1.0)
     codes = [{finding.code for finding in found.findings} for found in results]
     if name == "a warm-up":
-        assert sum("warming" in each for each in codes) >= 2
+        assert sum("warming" in each for each in codes) >= 4
     if name == "a G that is not significant":
         applied = [found.gyroscope is not None and found.gyroscope.rest.significant for found in results]
         assert sum(applied) <= 2
@@ -103,9 +103,9 @@ def test_intervals_contain_the_truth(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
-def test_intervals_contain_the_truth_in_forty_logs(name: str) -> None:
+def test_intervals_contain_the_truth_in_a_hundred_logs(name: str) -> None:
     """At least 92 %."""
-    hits, _ = inside(CASES[name], range(741_000, 741_040))
+    hits, _ = inside(CASES[name], range(741_000, 741_100))
     assert within_binomial(np.array([np.mean(each) for each in hits])[:, None], 0.92, 1.0)
 
 

@@ -313,7 +313,7 @@ def test_the_part_without_the_fault_is_suggested(fault: Fault, keep: tuple[float
     assert one(look(*fault(*still(N, 1)))).keep_s == keep
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(
     ("fault", "kinds"),
     [
