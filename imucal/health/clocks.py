@@ -2,8 +2,12 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from imucal.clock import Clock
 from imucal.findings import Finding, Level
 from imucal.health.diagnosis import Question, Row, Status, Values
+from imucal.health.evidence import Curve, Evidence, Limit, thinned
 from imucal.recording import Recording
 from imucal.screening.values import check_rate
 from imucal.screening.windows import Profile
@@ -42,6 +46,8 @@ _WARNS = {"bursts", "coarse-stamps", "zero-stamps"}
 _MANY_MISSING = 0.01
 #: Longest gap that a filter bridges, in s: at 3 rad/s the IMU turns by 17° in it.
 _LONG_GAP_S = 0.1
+#: Number of gaps that are marked in a picture.
+_GAPS_SHOWN = 100
 #: Standard deviation of the stamps, in sampling periods, above which they are no times of sampling.
 _JITTER = 0.2
 
@@ -99,7 +105,7 @@ def _rate_row(recording: Recording, findings: Sequence[Finding]) -> Row:
 
 def _gaps_row(recording: Recording) -> Row:
     question = Question("gaps", "gaps")
-    clocks = {id(series.clock): series.clock for series in recording.series}.values()
+    clocks = list({id(series.clock): series.clock for series in recording.series}.values())
     missing = max((clock.missing / clock.grid_size for clock in clocks if clock.grid_size), default=0.0)
     longest = max((gap.duration_s for clock in clocks for gap in clock.gaps), default=0.0)
     values: Values = {"missing_share": missing, "longest_s": longest}
@@ -110,7 +116,28 @@ def _gaps_row(recording: Recording) -> Row:
     status: Status = "warn"
     if longest > _LONG_GAP_S or missing > _MANY_MISSING:
         status = "fail"
-    return question.answer(status, found, advice, values=values)
+    worst = max(clocks, key=lambda clock: max((gap.missing for gap in clock.gaps), default=0))
+    return question.answer(status, found, advice, values=values, evidence=_gaps(worst))
+
+
+def _gaps(clock: Clock) -> Evidence:
+    """Return the time between samples, with the longest gaps marked."""
+    places = np.asarray(clock.grid() * clock.tau0, dtype=np.float64)
+    x, y = thinned(places[1:], 1e3 * np.diff(places))
+    longest = sorted(clock.gaps, key=lambda gap: -gap.missing)[:_GAPS_SHOWN]
+    ends = np.array([gap.start_s + gap.duration_s for gap in longest])
+    lengths = np.array([gap.duration_s + clock.tau0 for gap in longest])
+    return Evidence(
+        title="time between samples",
+        x_label="time (s)",
+        y_label="time since the previous sample (ms)",
+        curves=(
+            Curve(label="samples", x=x, y=y),
+            Curve(label="after a gap", x=ends, y=1e3 * lengths, look="marks"),
+        ),
+        limits=(Limit(label=f"{1e3 * clock.tau0:.4g} ms", value=1e3 * clock.tau0),),
+        log_y=True,
+    )
 
 
 def _stamps_row(recording: Recording, findings: Sequence[Finding]) -> Row:
