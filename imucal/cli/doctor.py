@@ -112,5 +112,6 @@ def _table(found: "Diagnosis") -> list[str]:
 def _lines(row: "Row") -> list[str]:
     word = click.style(f"{_WORDS[row.status]:<{_START}}", fg=_COLOURS[row.status])
     text = f"{row.name}: {row.text}"
-    first, *rest = textwrap.wrap(printable(text), width() - _START)
+    # Options such as --gyro-unit stay whole.
+    first, *rest = textwrap.wrap(printable(text), width() - _START, break_on_hyphens=False)
     return [f"{word}{first}", *(" " * _START + line for line in rest)]

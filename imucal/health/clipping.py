@@ -11,7 +11,7 @@ from imucal.health.evidence import Evidence, Limit, near, samples_shown
 from imucal.recording import Sensor
 from imucal.screening.windows import Profile, amount, name_list
 
-__all__ = ["range_row"]
+__all__ = ["clipped_values", "range_row"]
 
 _CHECK = "Check the driver."
 
@@ -53,8 +53,7 @@ def range_row(profiles: Sequence[Profile]) -> Row:
     alive = [p for p in profiles if not p.constant]
     if not alive:
         return question.answer("unknown", "no axis has data", _CHECK)
-    limits = [_clip(p, word) for p in alive for word in ("highest", "lowest")]
-    clips = [clip for clip in limits if clip is not None]
+    clips = [clip for p in alive for clip in _clips(p)]
     largest: Values = {p.name: _peak(p) for p in alive}
     if not clips:
         found = f"no axis stays at an extreme value; the largest are {' and '.join(_peaks(alive))}"
@@ -88,6 +87,16 @@ def _evidence(clip: _Clip) -> Evidence:
 def _at_limit(samples: FloatArray, limit: float) -> BoolArray:
     # 32-bit values of one limit may differ by rounding.
     return np.asarray(np.abs(samples - limit) <= 1e-6 * abs(limit))
+
+
+def clipped_values(p: Profile) -> tuple[float, ...]:
+    """Return the limits at which an axis is clipped."""
+    return tuple(clip.limit for clip in _clips(p))
+
+
+def _clips(p: Profile) -> tuple[_Clip, ...]:
+    clips = (_clip(p, word) for word in ("highest", "lowest"))
+    return tuple(clip for clip in clips if clip is not None)
 
 
 def _peak(p: Profile) -> float:

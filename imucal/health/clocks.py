@@ -8,7 +8,7 @@ from imucal.clock import Clock
 from imucal.findings import Finding, Level
 from imucal.health.diagnosis import Question, Row, Status, Values
 from imucal.health.evidence import Curve, Evidence, Limit, thinned
-from imucal.recording import Recording
+from imucal.recording import Recording, StampTrace
 from imucal.screening.values import check_rate
 from imucal.screening.windows import Profile
 
@@ -48,9 +48,13 @@ _MANY_MISSING = 0.01
 _LONG_GAP_S = 0.1
 #: Number of gaps that are marked in a picture.
 _GAPS_SHOWN = 100
+#: Standard deviation of the stamps, in sampling periods, below which they are even.
+_EVEN = 0.005
 #: Standard deviation of the stamps, in sampling periods, above which they are no times of sampling.
 _JITTER = 0.2
 
+#: Statuses with a picture.
+_SHOWN: tuple[Status, ...] = ("fail", "warn")
 _STATUS: dict[Level, Status] = {"error": "fail", "warning": "warn", "info": "pass"}
 
 
@@ -61,7 +65,7 @@ def clock_rows(recording: Recording, profiles: Sequence[Profile]) -> tuple[Row, 
         _rate_row(recording, findings),
         _gaps_row(recording),
         _stamps_row(recording, findings),
-        _clocks_row(findings),
+        _clocks_row(recording, findings),
     )
 
 
@@ -87,7 +91,8 @@ def _rate_row(recording: Recording, findings: Sequence[Finding]) -> Row:
     question = Question("rate", "rate")
     worst, status = _worst(findings, _RATE)
     if worst is not None:
-        return question.answer_by(worst, status)
+        evidence = _intervals(recording.stamps) if status in _SHOWN else None
+        return question.answer_by(worst, status, evidence=evidence)
     clocks = {id(series.clock): series for series in recording.series}
     rates = list(dict.fromkeys(f"{series.rate_hz:.6g} Hz" for series in clocks.values()))
     jitters = [s.clock.jitter_s * s.rate_hz for s in clocks.values() if s.clock.jitter_s is not None]
@@ -96,10 +101,13 @@ def _rate_row(recording: Recording, findings: Sequence[Finding]) -> Row:
     found = f"the sampling rate is {' and '.join(rates)}"
     if not jitters:
         return question.answer("pass", f"{found}; the log has no time stamps", values=values)
+    if max(jitters) < _EVEN:
+        return question.answer("pass", f"{found}, and the stamps are on an even grid", values=values)
     found += f", and the stamps differ by {max(jitters):.2g} periods from an even grid (standard deviation)"
     if max(jitters) > _JITTER:
         advice = "Stamp samples by the sensor's interrupt, or give the filter an even grid of time."
-        return question.answer("warn", found, advice, values=values)
+        evidence = _intervals(recording.stamps)
+        return question.answer("warn", found, advice, values=values, evidence=evidence)
     return question.answer("pass", found, values=values)
 
 
@@ -144,7 +152,8 @@ def _stamps_row(recording: Recording, findings: Sequence[Finding]) -> Row:
     question = Question("time stamps", "stamps")
     worst, status = _worst(findings, _STAMPS)
     if worst is not None:
-        return question.answer_by(worst, status)
+        evidence = _intervals(recording.stamps) if status in _SHOWN else None
+        return question.answer_by(worst, status, evidence=evidence)
     if all(series.clock.start_ns is None for series in recording.series):
         found = "the log has no time stamps"
         advice = "Log the time of each sample."
@@ -153,11 +162,48 @@ def _stamps_row(recording: Recording, findings: Sequence[Finding]) -> Row:
     return question.answer("pass", found)
 
 
-def _clocks_row(findings: Sequence[Finding]) -> Row:
+def _intervals(traces: Sequence[StampTrace]) -> Evidence | None:
+    """Return the time between stamps, with those marked that do not increase."""
+    known = [trace for trace in traces if trace.index.size]
+    if not known:
+        return None
+    worst = max(known, key=lambda trace: float(np.ptp(trace.interval_s)))
+    x, y = worst.index.astype(np.float64), 1e3 * worst.interval_s
+    curves = [Curve(label="stamps", x=x, y=y)]
+    late = y <= 0
+    if late.any():
+        curves.append(Curve(label="equal or earlier", x=x[late], y=y[late], look="marks"))
+    usual = float(np.median(y))
+    return Evidence(
+        title="time between the stamps of successive samples: the extremes of each part of the log",
+        x_label="sample",
+        y_label="time since the previous stamp (ms)",
+        curves=tuple(curves),
+        limits=(Limit(label=f"median {usual:.4g} ms", value=usual),),
+    )
+
+
+def _differences(traces: Sequence[StampTrace]) -> Evidence | None:
+    """Return log time minus stamp."""
+    known = [trace for trace in traces if trace.compared.size]
+    if not known:
+        return None
+    worst = max(known, key=lambda trace: float(np.ptp(trace.late_s)))
+    x, y = worst.compared.astype(np.float64), 1e3 * worst.late_s
+    return Evidence(
+        title="log time minus time stamp: the extremes of each part of the log",
+        x_label="sample",
+        y_label="log time minus stamp (ms)",
+        curves=(Curve(label="difference", x=x, y=y),),
+    )
+
+
+def _clocks_row(recording: Recording, findings: Sequence[Finding]) -> Row:
     question = Question("header against log time", "clocks-differ")
     worst, status = _worst(findings, _CLOCKS)
     if worst is not None:
-        return question.answer_by(worst, status)
+        evidence = _differences(recording.stamps) if status in _SHOWN else None
+        return question.answer_by(worst, status, evidence=evidence)
     found = "the log has one time for each sample, or two equal ones"
     advice = "Record a bag or MCAP file with header stamps."
     return question.answer("unknown", found, advice)

@@ -43,7 +43,7 @@ _WIDTH = 10.0
 #: Height of a picture, in inches.
 _HEIGHT = 4.0
 #: Space for the label of the scale, as a share of the width.
-_LEFT = 0.075
+_LEFT = 0.085
 #: Space for the names of bars, as a share of the width.
 _LEFT_OF_BARS = 0.2
 #: Space for the texts of level limits, as a share of the width.

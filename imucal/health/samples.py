@@ -10,6 +10,7 @@ from scipy.ndimage import median_filter
 from imucal.arrays import BoolArray, IntArray, blocks, distinct
 from imucal.findings import Finding
 from imucal.health import sample_evidence
+from imucal.health.clipping import clipped_values
 from imucal.health.diagnosis import Question, Row, Status, Values
 from imucal.health.evidence import Evidence
 from imucal.health.stream import Stream
@@ -59,64 +60,74 @@ _LONGER = "Record for 10 s or longer."
 
 def sample_rows(stream: Stream) -> tuple[Row, ...]:
     """Return the rows of samples, in the order of the checks."""
-    filled = (*stream.recording.findings, *_filled(stream))
     alive = [p for p in stream.profiles if p.windows.size and not p.constant]
-    damaged = [one for p in stream.profiles for one in check_not_finite(p)]
-    numbers = Question("samples that are numbers", "not-finite")
-    rows = (
-        _axes_row(stream),
-        _row(
-            numbers,
-            damaged,
-            "all samples are finite",
-            lambda finding: sample_evidence.not_finite(stream.recording[finding.axis or ""]),
-        ),
-    )
+    rows = (_axes_row(stream), _numbers_row(stream))
     if not any(p.series.n >= _MIN_SAMPLES for p in alive):
         return (*rows, *(question.answer("unknown", _FEW, _LONGER) for question in _OF_MANY))
-    stuck = [one for p in alive for one in _stuck(p, stream)]
-    held = _once_per_sensor(filled, "held-samples")
-    between = _once_per_sensor(filled, "interpolated-samples")
-    copies = [*check_duplicates(alive), *check_interleaved(alive)]
-    still = "no axis stays at one value while the IMU moves"
-    straight = "no samples are on a line between their neighbours"
+    filled = (*stream.recording.findings, *_filled(stream))
     return (
         *rows,
-        _row(
-            _STUCK,
-            stuck,
-            still,
-            lambda finding: sample_evidence.stuck(_named(alive, finding.axis)[0]),
-            worst="fail",
-        ),
-        _row(
-            _HELD,
-            held,
-            "no samples repeat on all axes",
-            lambda finding: sample_evidence.held(_named(alive, finding.axis)),
-            worst="fail",
-            advice="Log each sample once: a filter takes a repeated sample for a new one.",
-        ),
-        _row(
-            _BETWEEN,
-            between,
-            straight,
-            lambda finding: sample_evidence.interpolated(_named(alive, finding.axis)),
-            worst="fail",
-            advice="Log the sensor's own samples and leave lost ones out: a filter bridges short gaps.",
-        ),
+        _stuck_row(alive, stream),
+        _held_row(alive, filled),
+        _between_row(alive, filled),
         _spikes_row(alive),
-        _row(
-            _COPIES,
-            copies,
-            "no two axes have the same samples",
-            lambda finding: (
-                sample_evidence.interleaved(_named(alive, finding.axis))
-                if finding.axis
-                else sample_evidence.copied(alive)
-            ),
-        ),
+        _copies_row(alive),
     )
+
+
+def _numbers_row(stream: Stream) -> Row:
+    damaged = [one for p in stream.profiles for one in check_not_finite(p)]
+
+    def evidence_of(finding: Finding) -> Evidence | None:
+        return sample_evidence.not_finite(stream.recording[finding.axis or ""])
+
+    question = Question("samples that are numbers", "not-finite")
+    return _row(question, damaged, "all samples are finite", evidence_of)
+
+
+def _stuck_row(alive: Sequence[Profile], stream: Stream) -> Row:
+    stuck = [one for p in alive for one in _stuck(p, stream)]
+
+    def evidence_of(finding: Finding) -> Evidence:
+        (p,) = _named(alive, finding.axis)
+        return sample_evidence.stuck(replace(p, windows=p.windows.take(~_clipped(p))))
+
+    still = "no axis stays at one value while the IMU moves"
+    return _row(_STUCK, stuck, still, evidence_of, worst="fail")
+
+
+def _held_row(alive: Sequence[Profile], filled: Sequence[Finding]) -> Row:
+    return _row(
+        _HELD,
+        _once_per_sensor(filled, "held-samples"),
+        "no samples repeat on all axes",
+        lambda finding: sample_evidence.held(_named(alive, finding.axis)),
+        worst="fail",
+        advice="Log each sample once: a filter takes a repeated sample for a new one.",
+    )
+
+
+def _between_row(alive: Sequence[Profile], filled: Sequence[Finding]) -> Row:
+    return _row(
+        _BETWEEN,
+        _once_per_sensor(filled, "interpolated-samples"),
+        "no samples are on a line between their neighbours",
+        lambda finding: sample_evidence.interpolated(_named(alive, finding.axis)),
+        worst="fail",
+        advice="Log the sensor's own samples and leave lost ones out: a filter bridges short gaps.",
+    )
+
+
+def _copies_row(alive: Sequence[Profile]) -> Row:
+    copies = [*check_duplicates(alive), *check_interleaved(alive)]
+
+    def evidence_of(finding: Finding) -> Evidence | None:
+        # A copy is a finding about two axes, which has no axis of its own.
+        if finding.axis is None:
+            return sample_evidence.copied(alive)
+        return sample_evidence.interleaved(_named(alive, finding.axis))
+
+    return _row(_COPIES, copies, "no two axes have the same samples", evidence_of)
 
 
 def _named(profiles: Sequence[Profile], name: str | None) -> list[Profile]:
@@ -218,11 +229,20 @@ def _stuck(p: Profile, stream: Stream) -> tuple[Finding, ...]:
     moves = _moves(p, stream)
     fine = p.lsb is None or p.noise > _FINE * p.lsb
     keep = np.ones_like(moves) if fine else moves
+    keep &= ~_clipped(p)
     return (
         check_stuck(replace(p, windows=p.windows.take(keep), disturbed=p.disturbed[keep]))
         if keep.any()
         else ()
     )
+
+
+def _clipped(p: Profile) -> BoolArray:
+    """Return which windows are at a limit of the range, for which there is another row."""
+    frozen = p.windows.low == p.windows.high
+    if not frozen.any():
+        return np.asarray(frozen)
+    return np.asarray(frozen & np.isin(p.windows.low, clipped_values(p)))
 
 
 def _spikes_row(profiles: Sequence[Profile]) -> Row:

@@ -155,8 +155,8 @@ def check_filled(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
                 "axes: the driver or a converter has interpolated lost samples."
             )
             advice = (
-                "Log the sensor's own samples and leave lost ones out: imucal allows for gaps. An N from short "
-                f"times is up to {0.75 * between:.1%} too large."
+                "Log the sensor's own samples and leave lost ones out: imucal allows for gaps. An N from "
+                f"short times is up to {0.75 * between:.1%} too large."
             )
             findings.append(Finding("warning", "interpolated-samples", text, advice, axis=sensor.short))
     return tuple(findings)

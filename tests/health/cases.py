@@ -30,9 +30,13 @@ class Case:
         return row_of(diagnosis_of(self), self.code)
 
 
-@cache
 def diagnosis_of(case: Case) -> Diagnosis:
-    return diagnose(case.recording(), expect=case.expect)
+    return _diagnosis(case.recording, case.expect)
+
+
+@cache
+def _diagnosis(recording: Callable[[], Recording], expect: str | None) -> Diagnosis:
+    return diagnose(recording(), expect=expect)
 
 
 def row_of(diagnosis: Diagnosis, code: str) -> Row:
