@@ -1,6 +1,7 @@
 """Rows about the time stamps, from the findings of the reader."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -42,6 +43,17 @@ _CLOCKS = ("clocks-differ", "delay")
 _FAILS = {"clock-jump", "absurd-rate", "stamps-out-of-order"}
 #: Findings that a filter notices, if a noise fit does not.
 _WARNS = {"bursts", "coarse-stamps", "zero-stamps"}
+#: What to do about findings for which a noise fit needs no advice.
+_ADVICE = {
+    "clock-jump": "Stamp the samples with a clock that is never set, such as a monotonic one.",
+    "stamps-out-of-order": "Sort the samples by time before the filter, and look for two writers of one topic.",
+    "duplicate-stamps": "Log each sample once, with a time of its own.",
+    "extra-samples": "Look for a second source of samples in this topic or column.",
+    "zero-stamps": "Fill the time stamp of each sample in the driver.",
+    "bursts": "Give the filter the times of sampling, not those of arrival.",
+    "coarse-stamps": "Log time stamps with a resolution of 1 us.",
+    "clocks-differ": "Synchronize the clocks, or give the filter only one of the two times.",
+}
 #: Share of missing samples above which a filter drifts visibly between samples.
 _MANY_MISSING = 0.01
 #: Longest gap that a filter bridges, in s: at 3 rad/s the IMU turns by 17° in it.
@@ -87,12 +99,18 @@ def _status(finding: Finding) -> Status:
     return _STATUS[finding.level]
 
 
+def _answer(question: Question, finding: Finding, status: Status, evidence: Evidence | None) -> Row:
+    """Return the row of a finding; most findings about clocks have no advice, because a fit needs none."""
+    row = question.answer_by(finding, status, evidence=evidence)
+    return replace(row, advice=row.advice or _ADVICE.get(finding.code, ""))
+
+
 def _rate_row(recording: Recording, findings: Sequence[Finding]) -> Row:
     question = Question("rate", "rate")
     worst, status = _worst(findings, _RATE)
     if worst is not None:
         evidence = _intervals(recording.stamps) if status in _SHOWN else None
-        return question.answer_by(worst, status, evidence=evidence)
+        return _answer(question, worst, status, evidence)
     clocks = {id(series.clock): series for series in recording.series}
     rates = list(dict.fromkeys(f"{series.rate_hz:.6g} Hz" for series in clocks.values()))
     jitters = [s.clock.jitter_s * s.rate_hz for s in clocks.values() if s.clock.jitter_s is not None]
@@ -153,7 +171,7 @@ def _stamps_row(recording: Recording, findings: Sequence[Finding]) -> Row:
     worst, status = _worst(findings, _STAMPS)
     if worst is not None:
         evidence = _intervals(recording.stamps) if status in _SHOWN else None
-        return question.answer_by(worst, status, evidence=evidence)
+        return _answer(question, worst, status, evidence)
     if all(series.clock.start_ns is None for series in recording.series):
         found = "the log has no time stamps"
         advice = "Log the time of each sample."
@@ -203,7 +221,7 @@ def _clocks_row(recording: Recording, findings: Sequence[Finding]) -> Row:
     worst, status = _worst(findings, _CLOCKS)
     if worst is not None:
         evidence = _differences(recording.stamps) if status in _SHOWN else None
-        return question.answer_by(worst, status, evidence=evidence)
+        return _answer(question, worst, status, evidence)
     found = "the log has one time for each sample, or two equal ones"
     advice = "Record a bag or MCAP file with header stamps."
     return question.answer("unknown", found, advice)
