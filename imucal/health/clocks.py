@@ -46,7 +46,7 @@ _WARNS = {"bursts", "coarse-stamps", "zero-stamps"}
 #: What to do about findings for which a noise fit needs no advice.
 _ADVICE = {
     "clock-jump": "Stamp the samples with a clock that is never set, such as a monotonic one.",
-    "stamps-out-of-order": "Sort the samples by time before the filter, and look for two writers of one topic.",
+    "stamps-out-of-order": "Sort the samples by time for the filter, and look for two writers of one topic.",
     "duplicate-stamps": "Log each sample once, with a time of its own.",
     "extra-samples": "Look for a second source of samples in this topic or column.",
     "zero-stamps": "Fill the time stamp of each sample in the driver.",
