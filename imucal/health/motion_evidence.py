@@ -63,6 +63,7 @@ def rate_over_time(stream: Stream, *, fastest: float, label: str) -> Evidence | 
         limits=(Limit(label=label, value=fastest),),
         shaded=_quiet_spans(stream),
         shade_label="at rest" if len(stream.rests) else "quietest moments",
+        log_y=bool(np.nanmax(rate) > _FAR_APART * fastest),
     )
 
 
