@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from imucal.arrays import FloatArray, ReadOnlyArrays, blocks, read_only
+from imucal.arrays import FloatArray, IntArray, ReadOnlyArrays, blocks, read_only
 from imucal.clock import Clock
 from imucal.display import Displayed
 from imucal.errors import ArgumentError, DataError, MissingError
@@ -158,6 +158,20 @@ class Temperature(ReadOnlyArrays):
     clock: Clock
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StampTrace(ReadOnlyArrays):
+    """The time stamps of a log as they are, thinned to the extremes of parts of it, for pictures.
+
+    `interval_s`, shape (k,), are the times since the previous stamp at the samples `index`. `late_s`, shape
+    (j,), are log time minus stamp at the samples `compared`; empty without a log time besides the stamps.
+    """
+
+    index: IntArray
+    interval_s: FloatArray
+    compared: IntArray
+    late_s: FloatArray
+
+
 @dataclass(frozen=True, kw_only=True)
 class LogFileInfo:
     """A file of a log, with its path as it was read, and its checksum.
@@ -249,12 +263,15 @@ class Recording(Displayed):
         The IMU's temperature, or None.
     findings
         Findings of the reader: gaps, clocks, losses.
+    stamps
+        The time stamps of each clock, thinned; empty without stamps.
     """
 
     source: Source
     series: tuple[AxisSeries, ...]
     temperature: Temperature | None = None
     findings: tuple[Finding, ...] = ()
+    stamps: tuple[StampTrace, ...] = ()
 
     def between(self, start_s: float, end_s: float) -> "Recording":
         """Return the samples from `start_s` to before `end_s`, in s from the start of each clock.

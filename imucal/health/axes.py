@@ -7,10 +7,13 @@ import numpy as np
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from imucal.health.diagnosis import Question, Row, Values
+from imucal.health.motion_evidence import orders_compared
 from imucal.health.turning import PROPER, Turning
+from imucal.screening.windows import name_list
 
 __all__ = ["HOW_TO_TURN", "ORDERS", "Orders", "axes_row", "explaining_orders"]
 
+#: Advice for logs with too few turns.
 HOW_TO_TURN = "Turn the IMU by 60° or more about each of its three axes, with rests of 2 s between"
 
 #: Largest unexplained share of the variance of f in a part that tells: turns explain 0.97 of it, translations
@@ -57,7 +60,7 @@ class Orders(ReadOnlyArrays):
     `possible`, shape (48,), are those of `ORDERS` that no turn excludes; `best` is the most likely. `scale`
     is in rad/s per unit of the samples, and `unit` its name for `imucal.read`, empty if there is none.
     `explained`, shape (b,), are the parts that tell; those of `well_explained` are little disturbed by
-    translation.
+    translation. `shares`, shape (48,), are the mean unexplained shares of the variance in them.
     """
 
     possible: BoolArray
@@ -67,6 +70,7 @@ class Orders(ReadOnlyArrays):
     unit: str
     explained: BoolArray
     well_explained: BoolArray
+    shares: FloatArray
 
     @property
     def count(self) -> int:
@@ -97,7 +101,8 @@ def _best_scale(turning: Turning, scales: FloatArray) -> float:
 
 def _orders(turning: Turning, scale: float, unit: str, orders: "_Judged") -> Orders:
     """Return the orders with a scale near `scale`, and its range over the two halves of the turns."""
-    shares = _unexplained(turning, scale)[:, orders.best]
+    unexplained = _unexplained(turning, scale)
+    shares = unexplained[:, orders.best]
     well = np.flatnonzero(shares < _WELL_EXPLAINED)
     halves = [_refined(turning, scale, orders.best, half) for half in (well[::2], well[1::2])]
     return Orders(
@@ -108,6 +113,7 @@ def _orders(turning: Turning, scale: float, unit: str, orders: "_Judged") -> Ord
         unit=unit,
         explained=orders.explained,
         well_explained=shares < _WELL_EXPLAINED,
+        shares=np.minimum(unexplained[orders.explained], 1.0).mean(axis=0),
     )
 
 
@@ -184,15 +190,16 @@ def axes_row(turning: Turning | None, orders: Orders | None) -> Row:
             f"{_turns(parts)} {count} of the 48 orders and signs of the axes, including the one of this log"
         )
         return question.answer("unknown", found, f"{HOW_TO_TURN}.", values=values)
+    evidence = orders_compared(orders.shares, tuple(map(_mapping, ORDERS)))
     if count > 1:
         found = f"{_turns(parts)} {count} of the 48 orders and signs of the axes, and not the one of this log"
-        advice = f"Check the order and the signs of the axes; to find the right one: {HOW_TO_TURN.lower()}."
-        return question.answer("fail", found, advice, values=values)
+        advice = f"Check the order and the signs of the axes. {HOW_TO_TURN}, to find the right ones."
+        return question.answer("fail", found, advice, values=values, evidence=evidence)
     right = ORDERS[orders.best]
     values["mapping"] = _mapping(right)
     found = f"the order and signs of the axes contradict {parts} turns: {_sentence(right)}"
     advice = "Correct the axes in the driver; a filter diverges with these."
-    return question.answer("fail", found, advice, values=values)
+    return question.answer("fail", found, advice, values=values, evidence=evidence)
 
 
 def _turns(parts: int) -> str:
@@ -216,8 +223,8 @@ def _sentence(order: FloatArray) -> str:
     if np.array_equal(order, -np.eye(3)):
         return "all three axes of the gyroscope have the wrong sign"
     wrong = [
-        f"{axis} of the gyroscope is {right}"
+        f"{axis} is along {right}"
         for axis, right in zip("xyz", _signed_axes(order), strict=True)
         if axis != right
     ]
-    return f"in the axes of the accelerometer, {', '.join(wrong)}"
+    return f"the gyroscope's {name_list(wrong)} of the accelerometer"

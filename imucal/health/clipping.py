@@ -1,16 +1,17 @@
 """The row of the range: motion that is cut off at the limit of an axis."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucal.arrays import FloatArray, IntArray
+from imucal.arrays import BoolArray, FloatArray, IntArray
 from imucal.health.diagnosis import Question, Row, Values
+from imucal.health.evidence import Evidence, Limit, near, samples_shown
 from imucal.recording import Sensor
-from imucal.screening.windows import Profile, amount
+from imucal.screening.windows import Profile, amount, name_list
 
-__all__ = ["range_row"]
+__all__ = ["clipped_values", "range_row"]
 
 _CHECK = "Check the driver."
 
@@ -28,12 +29,22 @@ _AWAY = 0.15
 
 @dataclass(frozen=True, kw_only=True)
 class _Clip:
-    name: str
-    sensor: Sensor
+    """Samples at a limit: `samples` of them; `longest` is the first index and the end of the longest run."""
+
+    profile: Profile
     word: str
     limit: float
     samples: int
     first_s: float
+    longest: tuple[int, int]
+
+    @property
+    def name(self) -> str:
+        return self.profile.name
+
+    @property
+    def sensor(self) -> Sensor:
+        return self.profile.series.sensor
 
 
 def range_row(profiles: Sequence[Profile]) -> Row:
@@ -41,9 +52,8 @@ def range_row(profiles: Sequence[Profile]) -> Row:
     question = Question("range", "saturated")
     alive = [p for p in profiles if not p.constant]
     if not alive:
-        return question.answer("unknown", "no axis has data", "Check the driver.")
-    limits = [_clip(p, word) for p in alive for word in ("highest", "lowest")]
-    clips = [clip for clip in limits if clip is not None]
+        return question.answer("unknown", "no axis has data", _CHECK)
+    clips = [clip for p in alive for clip in _clips(p)]
     largest: Values = {p.name: _peak(p) for p in alive}
     if not clips:
         found = f"no axis stays at an extreme value; the largest are {' and '.join(_peaks(alive))}"
@@ -56,9 +66,37 @@ def range_row(profiles: Sequence[Profile]) -> Row:
     )
     others = sorted({clip.name for clip in clips} - {worst.name})
     if others:
-        found += f"; so {'is' if len(others) == 1 else 'are'} {', '.join(others)}"
+        found += f"; so {'is' if len(others) == 1 else 'are'} {name_list(others)}"
     advice = "Choose a larger range of the sensor: a filter integrates the missing part of each peak."
-    return question.answer("fail", found, advice, values=largest)
+    return question.answer("fail", found, advice, values=largest, evidence=_evidence(worst))
+
+
+def _evidence(clip: _Clip) -> Evidence:
+    series = clip.profile.series
+    first, stop = clip.longest
+    shown = samples_shown(
+        [series],
+        near(first, stop, series.n),
+        bad=np.flatnonzero(_at_limit(series.samples, clip.limit)),
+        bad_label=f"at the {clip.word} value",
+        title=f"the longest time of {clip.name} at its {clip.word} value",
+    )
+    return replace(shown, limits=(Limit(label=f"{clip.limit:.4g} {series.unit}", value=clip.limit),))
+
+
+def _at_limit(samples: FloatArray, limit: float) -> BoolArray:
+    # 32-bit values of one limit may differ by rounding.
+    return np.asarray(np.abs(samples - limit) <= 1e-6 * abs(limit))
+
+
+def clipped_values(p: Profile) -> tuple[float, ...]:
+    """Return the limits at which an axis is clipped."""
+    return tuple(clip.limit for clip in _clips(p))
+
+
+def _clips(p: Profile) -> tuple[_Clip, ...]:
+    clips = (_clip(p, word) for word in ("highest", "lowest"))
+    return tuple(clip for clip in clips if clip is not None)
 
 
 def _peak(p: Profile) -> float:
@@ -70,14 +108,13 @@ def _peaks(alive: Sequence[Profile]) -> list[str]:
     peaks: dict[Sensor, float] = {}
     for p in alive:
         peaks[p.series.sensor] = max(_peak(p), peaks.get(p.series.sensor, 0.0))
-    return [f"{sensor.short} {amount(value, sensor)}" for sensor, value in peaks.items()]
+    return [f"{amount(value, sensor)} of the {sensor}" for sensor, value in peaks.items()]
 
 
 def _clip(p: Profile, word: str) -> _Clip | None:
     samples = p.series.samples
     limit = float(samples.max() if word == "highest" else samples.min())
-    # 32-bit values of one limit may differ by rounding.
-    at_limit = np.abs(samples - limit) <= 1e-6 * abs(limit)
+    at_limit = _at_limit(samples, limit)
     flags = np.diff(np.concatenate([[0], at_limit.view(np.int8), [0]]))
     firsts, ends = np.flatnonzero(flags == 1), np.flatnonzero(flags == -1)
     lengths = ends - firsts
@@ -93,13 +130,14 @@ def _clip(p: Profile, word: str) -> _Clip | None:
         return None
     first = int(firsts[runs][0])
     place = int(p.series.clock.grid(first, first + 1)[0])
+    longest = int(lengths.argmax())
     return _Clip(
-        name=p.name,
-        sensor=p.series.sensor,
+        profile=p,
         word=word,
         limit=limit,
         samples=int(lengths[runs].sum()),
         first_s=place * p.series.tau0,
+        longest=(int(firsts[longest]), int(ends[longest])),
     )
 
 

@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import stdtrit
 
-from imucal.arrays import FloatArray
+from imucal.arrays import FloatArray, ReadOnlyArrays
 from imucal.health.axes import HOW_TO_TURN, Orders
 from imucal.health.diagnosis import Question, Row, Values
+from imucal.health.evidence import Curve, Evidence, Limit
 from imucal.health.turning import MODEL_ERROR, PROPER, Turning
 
 __all__ = ["Delay", "delay_row", "estimate_delay"]
@@ -47,13 +48,25 @@ _LARGE_PERIODS = 1.5
 _LEVEL = 0.95
 
 
-@dataclass(frozen=True, kw_only=True)
-class Delay:
-    """A delay with its 95 % interval, in s: the accelerometer is later if it is positive."""
+#: Number of delays in the picture.
+_SHOWN = 81
+#: Half-width of the picture, in delays.
+_WIDTH_SHOWN = 2.5
+#: Least half-width of the picture, in s.
+_LEAST_SHOWN_S = 0.02
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Delay(ReadOnlyArrays):
+    """A delay with its 95 % interval, in s: the accelerometer is later if it is positive.
+
+    `common`, shape (25,), are the estimated errors that all turns share.
+    """
 
     seconds: float
     half_width_s: float
     turns: int
+    common: FloatArray
 
 
 def estimate_delay(turning: Turning, orders: Orders) -> Delay | None:
@@ -67,10 +80,7 @@ def estimate_delay(turning: Turning, orders: Orders) -> Delay | None:
 
     Source: Tukey's jackknife; Efron and Stein (1981), Ann. Stat. 9(3), 586.
     """
-    turns = turning.keeping(orders.well_explained)
-    sign = 1.0 if orders.best < len(PROPER) else -1.0
-    turned = PROPER[orders.best % len(PROPER)]
-    rates = sign * orders.scale * turns.rates
+    turns, rates, turned = _explained_turns(turning, orders)
     if turns.size < max(_LEAST_TURNS, _LEAST_SHARE * turning.size):
         return None
     about_a_point = _estimate(turns, rates, turned)
@@ -81,6 +91,13 @@ def estimate_delay(turning: Turning, orders: Orders) -> Delay | None:
     return replace(about_a_point, half_width_s=math.hypot(about_a_point.half_width_s, difference))
 
 
+def _explained_turns(turning: Turning, orders: Orders) -> tuple[Turning, FloatArray, FloatArray]:
+    """Return the turns that the gyroscope explains well, its rates in rad/s, and the order of its axes."""
+    turns = turning.keeping(orders.well_explained)
+    sign = 1.0 if orders.best < len(PROPER) else -1.0
+    return turns, sign * orders.scale * turns.rates, PROPER[orders.best % len(PROPER)]
+
+
 def _estimate(turns: Turning, rates: FloatArray, turned: FloatArray) -> Delay | None:
     """Return the delay with the interval of the scatter alone."""
     shift = _searched(turns, rates, turned)
@@ -89,10 +106,8 @@ def _estimate(turns: Turning, rates: FloatArray, turned: FloatArray) -> Delay | 
     errors = np.zeros(_COMMON.size)
     normal, score = np.zeros((turns.size, errors.size, errors.size)), np.zeros((turns.size, errors.size))
     for _ in range(_STEPS):
-        corrected_rates = rates @ (np.eye(3) + errors[_GYRO_MATRIX].reshape(3, 3)).T + errors[_GYRO_BIAS]
-        force = turns.shifted(shift) @ turned - errors[_ACCEL_BIAS]
-        corrected_force = force @ np.linalg.inv(np.eye(3) + errors[_ACCEL_MATRIX].reshape(3, 3)).T
-        normal, score = _equations(turns, corrected_rates, corrected_force)
+        force = turns.shifted(shift) @ turned
+        normal, score = _equations(turns, _rates_without(errors, rates), _force_without(errors, force))
         total = normal.sum(axis=0) + np.diag(_COMMON**-2)
         change = np.linalg.solve(total, score.sum(axis=0) - errors * _COMMON**-2)
         errors = errors + change
@@ -106,7 +121,18 @@ def _estimate(turns: Turning, rates: FloatArray, turned: FloatArray) -> Delay | 
     ]
     error = math.sqrt((turns.size - 1) * float(np.var(without)))
     t = float(stdtrit(turns.size - 1, (1 + _LEVEL) / 2))
-    return Delay(seconds=shift, half_width_s=t * error, turns=turns.size)
+    return Delay(seconds=shift, half_width_s=t * error, turns=turns.size, common=errors)
+
+
+def _rates_without(errors: FloatArray, rates: FloatArray) -> FloatArray:
+    """Return rates without the errors that all turns share."""
+    return np.asarray(rates @ (np.eye(3) + errors[_GYRO_MATRIX].reshape(3, 3)).T + errors[_GYRO_BIAS])
+
+
+def _force_without(errors: FloatArray, force: FloatArray) -> FloatArray:
+    """Return forces without the errors that all turns share."""
+    matrix = np.eye(3) + errors[_ACCEL_MATRIX].reshape(3, 3)
+    return np.asarray((force - errors[_ACCEL_BIAS]) @ np.linalg.inv(matrix).T)
 
 
 def _searched(turns: Turning, rates: FloatArray, turned: FloatArray) -> float | None:
@@ -160,9 +186,10 @@ def delay_row(turning: Turning | None, orders: Orders | None, *, period_s: float
     question = Question("delay of the sensors", "sensor-delay")
     advice = f"{HOW_TO_TURN}, five times or more."
     delay = None
-    if turning is not None and orders is not None and (orders.possible[0] or orders.count == 1):
+    told = orders is not None and (orders.possible[0] or orders.count == 1)
+    if turning is not None and orders is not None and told:
         delay = estimate_delay(turning, orders)
-    if delay is None:
+    if turning is None or orders is None or delay is None:
         found = "too few turns are explained by the gyroscope for a delay between the sensors"
         return question.answer("unknown", found, advice)
     values: Values = {
@@ -172,18 +199,55 @@ def delay_row(turning: Turning | None, orders: Orders | None, *, period_s: float
         "turns": float(delay.turns),
     }
     late = "accelerometer" if delay.seconds >= 0 else "gyroscope"
+    milliseconds, half_ms = 1e3 * abs(delay.seconds), 1e3 * delay.half_width_s
+    digits = _decimals(half_ms)
     found = (
-        f"the {late} is {abs(delay.seconds) * 1e3:.2g} ± {delay.half_width_s * 1e3:.2g} ms later "
-        f"(95 %, {delay.turns} turns)"
+        f"the {late} is {milliseconds:.{digits}f} ± {half_ms:.{digits}f} ms later (95 %, {delay.turns} turns)"
     )
     notable = max(_NOTABLE_S, _NOTABLE_PERIODS * period_s)
     least = abs(delay.seconds) - delay.half_width_s
     if least > max(_LARGE_S, _LARGE_PERIODS * period_s):
         fix = "Stamp both sensors from one interrupt, or give the delay to the filter."
-        return question.answer("fail", found, fix, values=values)
+        evidence = _evidence(turning, orders, delay)
+        return question.answer("fail", found, fix, values=values, evidence=evidence)
     if least > notable:
         fix = "Give the delay to the filter, or use the same digital filter for both sensors."
-        return question.answer("warn", found, fix, values=values)
+        evidence = _evidence(turning, orders, delay)
+        return question.answer("warn", found, fix, values=values, evidence=evidence)
     if abs(delay.seconds) + delay.half_width_s > 2 * notable:
         return question.answer("unknown", found, advice, values=values)
     return question.answer("pass", found, values=values)
+
+
+def _decimals(half_width: float) -> int:
+    """Return the decimals of two digits of a half-width."""
+    return max(0, 1 - math.floor(math.log10(max(half_width, 1e-3))))
+
+
+def _evidence(turning: Turning, orders: Orders, delay: Delay) -> Evidence:
+    """Return the error of gravity in the turns against the delay."""
+    turns, rates, turned = _explained_turns(turning, orders)
+    half = max(_LEAST_SHOWN_S, _WIDTH_SHOWN * abs(delay.seconds))
+    shifts = np.linspace(-half, half, _SHOWN)
+    design = turns.design(_rates_without(delay.common, rates))
+    weight = float(turns.weights.sum())
+    errors = []
+    for shift in shifts:
+        force = _force_without(delay.common, turns.shifted(shift) @ turned)
+        squares = turns.residuals(design, force, np.eye(3)[None])
+        errors.append(math.sqrt(max(float(squares.sum()), 0.0) / weight))
+    low, high = delay.seconds - delay.half_width_s, delay.seconds + delay.half_width_s
+    return Evidence(
+        title=f"error of gravity in {turns.size} turns, if the accelerometer is this much later",
+        x_label="delay of the accelerometer (ms)",
+        y_label="error of gravity (mrad)",
+        curves=(
+            Curve(label="root mean square error", x=1e3 * shifts, y=1e3 * np.array(errors), look="line"),
+        ),
+        limits=(
+            Limit(label="no delay", value=0.0, upright=True),
+            Limit(label=f"{1e3 * delay.seconds:.2g} ms", value=1e3 * delay.seconds, upright=True),
+        ),
+        shaded=((1e3 * low, 1e3 * high),),
+        shade_label="95 % interval",
+    )

@@ -8,6 +8,7 @@ from imucal.health.clipping import range_row
 from imucal.health.clocks import clock_rows
 from imucal.health.delay import delay_row
 from imucal.health.diagnosis import Diagnosis, Question, Row, Values
+from imucal.health.evidence import Curve, Evidence, Limit, thinned
 from imucal.health.samples import sample_rows
 from imucal.health.spectrum import filter_row, vibration_row
 from imucal.health.stream import Stream
@@ -49,7 +50,7 @@ def diagnose(recording: Recording, *, expect: str | None = None) -> Diagnosis:
     rows = (
         *clock_rows(recording, [p for p in stream.profiles if p.windows.size]),
         accelerometer_unit_row(stream),
-        gyroscope_unit_row(stream, orders),
+        gyroscope_unit_row(stream, turning, orders),
         gravity_row(stream),
         up_row(stream, expect),
         axes_row(turning, orders),
@@ -81,7 +82,21 @@ def _temperature_row(temperature: Temperature | None) -> Row:
     low, high = (float(one) for one in np.quantile(degrees, [0.01, 0.99]))
     values: Values = {"low_degc": low, "high_degc": high}
     found = f"the temperature is between {low:.1f} and {high:.1f} °C"
-    if high - low > _WARMED_K:
+    if temperature is not None and high - low > _WARMED_K:
         advice = "Switch the IMU on 15 min earlier, or compensate the bias by temperature."
-        return question.answer("warn", found, advice, values=values)
+        evidence = _warming(temperature, low=low, high=high)
+        return question.answer("warn", found, advice, values=values, evidence=evidence)
     return question.answer("pass", found, values=values)
+
+
+def _warming(temperature: Temperature, *, low: float, high: float) -> Evidence:
+    clock = temperature.clock
+    time = np.asarray(clock.grid() * clock.tau0, dtype=np.float64)
+    x, y = thinned(time, temperature.samples)
+    return Evidence(
+        title="temperature of the IMU",
+        x_label="time (s)",
+        y_label="temperature (°C)",
+        curves=(Curve(label="temperature", x=x, y=y),),
+        limits=(Limit(label=f"{low:.1f} °C", value=low), Limit(label=f"{high:.1f} °C", value=high)),
+    )

@@ -5,6 +5,7 @@ from typing import Literal, TypeAlias
 
 from imucal.errors import Fix
 from imucal.findings import Finding
+from imucal.health.evidence import Evidence
 from imucal.recording import Source
 
 __all__ = ["WORST_FIRST", "Diagnosis", "Question", "Row", "Status", "Values"]
@@ -37,6 +38,8 @@ class Row:
         The argument of `imucal.read`, and its value, that follows the advice.
     values
         The numbers of the sentence by name, in SI, for scripts.
+    evidence
+        What a picture of the row shows; None if the row passed or is unknown, or if nothing can be drawn.
     """
 
     name: str
@@ -46,6 +49,7 @@ class Row:
     advice: str = ""
     fix: Fix | None = None
     values: Values = field(default_factory=dict)
+    evidence: Evidence | None = field(default=None, compare=False, repr=False)
 
     @property
     def text(self) -> str:
@@ -68,6 +72,7 @@ class Question:
         *,
         fix: Fix | None = None,
         values: Values | None = None,
+        evidence: Evidence | None = None,
     ) -> Row:
         """Return the row; `found` is without its full stop."""
         return Row(
@@ -78,9 +83,16 @@ class Question:
             advice=advice,
             fix=fix,
             values=values or {},
+            evidence=evidence,
         )
 
-    def answer_by(self, finding: Finding, status: Status, values: Values | None = None) -> Row:
+    def answer_by(
+        self,
+        finding: Finding,
+        status: Status,
+        values: Values | None = None,
+        evidence: Evidence | None = None,
+    ) -> Row:
         """Return the row of a finding of `imucal.fit`, with its words."""
         return Row(
             name=self.name,
@@ -90,6 +102,7 @@ class Question:
             advice=finding.advice,
             fix=finding.fix,
             values={**(values or {}), "axis": finding.axis, "finding": finding.code},
+            evidence=evidence,
         )
 
 

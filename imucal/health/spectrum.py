@@ -8,6 +8,7 @@ from scipy.ndimage import median_filter
 
 from imucal.arrays import FloatArray
 from imucal.health.diagnosis import Question, Row, Values
+from imucal.health.evidence import Curve, Evidence, Limit, thinned
 from imucal.health.stream import Stream
 from imucal.screening.motion import density_at_rest
 
@@ -96,7 +97,22 @@ def vibration_row(stream: Stream) -> Row:
     )
     values: Values = {"axis": axis, "frequency_hz": frequency, "share": share}
     advice = "Look for fans, motors and mains; isolate the IMU, and use its low-pass filter."
-    return question.answer("warn", found, advice, values=values)
+    evidence = _evidence(axis, *densities[axis], line_hz=frequency)
+    return question.answer("warn", found, advice, values=values, evidence=evidence)
+
+
+def _evidence(axis: str, frequency: FloatArray, density: FloatArray, *, line_hz: float) -> Evidence:
+    """Return the spectrum with a line; the mean level is at frequency 0, which is left out."""
+    unit = "rad/s" if axis.startswith("gyro") else "m/s²"
+    x, y = thinned(frequency[1:], np.sqrt(density[1:]))
+    return Evidence(
+        title=f"spectrum of {axis} at rest, the root of the two-sided density",
+        x_label="frequency (Hz)",
+        y_label=f"spectrum ({unit}/√Hz)",
+        curves=(Curve(label=axis, x=x, y=y),),
+        limits=(Limit(label=f"{line_hz:.4g} Hz", value=line_hz, upright=True),),
+        log_y=True,
+    )
 
 
 def _lines(frequency: FloatArray, density: FloatArray) -> Sequence[tuple[float, float]]:

@@ -7,11 +7,18 @@ import numpy as np
 
 from imucal.arrays import FloatArray
 from imucal.errors import ChoiceError, Fix
-from imucal.evidence import gravity_unit, gyroscope_step_unit, is_gravity_per_sample
+from imucal.evidence import FASTEST_AT_REST, gravity_unit, gyroscope_step_unit, is_gravity_per_sample
 from imucal.findings import Finding
 from imucal.health.axes import HOW_TO_TURN, Orders
 from imucal.health.diagnosis import Question, Row, Values
+from imucal.health.motion_evidence import (
+    first_attitude,
+    gravity_length_over_time,
+    rate_over_time,
+    turned_angles,
+)
 from imucal.health.stream import Stream
+from imucal.health.turning import Turning
 from imucal.recording import Sensor
 from imucal.screening.values import check_accelerometer_unit, check_gyroscope_unit, check_swapped
 from imucal.screening.windows import Profile
@@ -95,20 +102,21 @@ def accelerometer_unit_row(stream: Stream) -> Row:
     axes = _in_one_attitude(stream)
     swapped = check_swapped((*axes, *stream.quiet(Sensor.GYROSCOPE)))
     if swapped:
-        return question.answer_by(swapped[0], "fail", values)
+        evidence = gravity_length_over_time(stream, swapped=True)
+        return question.answer_by(swapped[0], "fail", values, evidence)
     if not has_gravity(stream):
         found = "the accelerometer shows no gravity, so its unit can't be told"
         return question.answer("unknown", found, _RECORD_RESTS, values=values)
     for finding in check_accelerometer_unit(axes):
-        return question.answer_by(finding, "fail", values)
+        return question.answer_by(finding, "fail", values, gravity_length_over_time(stream))
     found = f"at quiet moments |a| is {length:.4g} m/s^2, expected {G0:.1f}"
     return question.answer("pass", found, values=values)
 
 
-def gyroscope_unit_row(stream: Stream, orders: Orders | None) -> Row:
+def gyroscope_unit_row(stream: Stream, turning: Turning | None, orders: Orders | None) -> Row:
     """Return the row of the gyroscope's unit: by turns, by steps, or by impossible rates."""
-    if orders is not None:
-        return _unit_by_turns(orders)
+    if turning is not None and orders is not None:
+        return _unit_by_turns(turning, orders)
     axes = stream.of_sensor(Sensor.GYROSCOPE)
     alive = [p for p in axes if not p.constant]
     if not alive:
@@ -116,7 +124,8 @@ def gyroscope_unit_row(stream: Stream, orders: Orders | None) -> Row:
         return _GYROSCOPE_UNIT.answer("unknown", found, _WHOLE)
     resting = stream.quiet(Sensor.GYROSCOPE) if len(stream.rests) else ()
     for finding in check_gyroscope_unit(resting):
-        return _GYROSCOPE_UNIT.answer_by(finding, "fail", {"scale": None})
+        evidence = rate_over_time(stream, fastest=FASTEST_AT_REST, label="fastest at rest")
+        return _GYROSCOPE_UNIT.answer_by(finding, "fail", {"scale": None}, evidence)
     steps = [p.lsb for p in alive]
     by_step = gyroscope_step_unit(steps)
     fastest = max(float(np.quantile(np.abs(p.series.samples), 1 - _FAST_SHARE)) for p in alive)
@@ -126,7 +135,8 @@ def gyroscope_unit_row(stream: Stream, orders: Orders | None) -> Row:
     elif by_step is not None and by_step[0] == "deg/s":
         in_degrees = f"its steps of {steps[0]:.5g} are a usual LSB in deg/s"
     if in_degrees:
-        return _GYROSCOPE_UNIT.answer_by(_unit_finding(in_degrees), "fail", {"scale": None})
+        evidence = rate_over_time(stream, fastest=_FASTEST, label="fastest sensors")
+        return _GYROSCOPE_UNIT.answer_by(_unit_finding(in_degrees), "fail", {"scale": None}, evidence)
     if by_step is not None:
         found = f"its steps of {steps[0]:.5g} rad/s are a usual LSB, {by_step[1]:.5g} deg/s"
         return _GYROSCOPE_UNIT.answer("pass", found, values={"scale": None})
@@ -142,7 +152,14 @@ def _unit_finding(reason: str) -> Finding:
     return Finding("warning", "unit-suspect", text, advice, axis="gyro", fix=fix)
 
 
-def _unit_by_turns(orders: Orders) -> Row:
+def _unit_by_turns(turning: Turning, orders: Orders) -> Row:
+    row = _row_of_turns(orders)
+    if row.status not in {"fail", "warn"}:
+        return row
+    return replace(row, evidence=turned_angles(turning, order=orders.best, shown=orders.well_explained))
+
+
+def _row_of_turns(orders: Orders) -> Row:
     values: Values = {"scale": orders.scale, "finding": None}
     if orders.unit == "rad/s":
         return _scale_row(orders, values)
@@ -168,7 +185,7 @@ def _scale_row(orders: Orders, values: Values) -> Row:
     low, high = orders.scale_range
     error = abs(orders.scale - 1)
     sure = 0.0 if low < 1 < high else min(abs(low - 1), abs(high - 1))
-    found = f"the turns of gravity need {orders.scale:.3f} times the rates of the gyroscope"
+    found = f"gravity turns {orders.scale:.3f} times as fast as the gyroscope shows"
     advice = "Check the range of the gyroscope in the driver, or calibrate it."
     if error > _NOTABLE_SCALE and sure <= _NOTABLE_SCALE:
         found += f", {low:.2f} in one half and {high:.2f} in the other"
@@ -191,7 +208,8 @@ def gravity_row(stream: Stream) -> Row:
     if not has_gravity(stream):
         found = f"the accelerometer shows no gravity at quiet moments: |a| is {length:.2g} m/s^2"
         advice = "If a driver removes gravity, log the raw acceleration: a filter needs it."
-        return question.answer("fail", found, advice, values=values)
+        evidence = gravity_length_over_time(stream)
+        return question.answer("fail", found, advice, values=values, evidence=evidence)
     unit = gravity_unit(length)
     if unit is None:
         found = f"|a| is {length:.3g} at quiet moments, which is gravity in no usual unit"
@@ -237,7 +255,8 @@ def up_row(stream: Stream, expect: str | None) -> Row:
     advice = "Check how the IMU is mounted, and the order and signs of the axes in the driver."
     if seen[0] == expect[0]:
         advice = "The accelerometer is inverted (it contains gravity, not f), or the IMU is upside down."
-    return question.answer("fail", found, advice, values=values)
+    evidence = first_attitude(stream, length=gravity_length(stream) or G0)
+    return question.answer("fail", found, advice, values=values, evidence=evidence)
 
 
 def _first_direction(stream: Stream) -> FloatArray | None:

@@ -70,6 +70,7 @@ def assemble(log: Log, choices: Sequence[Choice], options: ReadOptions) -> Recor
         series=tuple(one for _, one in series),
         temperature=temperature,
         findings=tuple(dict.fromkeys(work.findings)),
+        stamps=tuple(work.stamps),
     )
 
 
@@ -176,6 +177,8 @@ def _clocks(work: Work, sensors: Sequence[SensorRows], lacking: list[ChoiceError
         # Files with equal times share one clock.
         equal = next((one.clock for one in clocks.values() if one.clock == reading.clock), reading.clock)
         clocks[key] = replace(reading, clock=equal)
+        if reading.trace is not None:
+            work.stamps.append(reading.trace)
         own = columns.is_topic and len({*keys}) > keys.count(key) == 1
         axis = triad.sensor.short if own else None
         work.findings += [replace(finding, axis=axis) for finding in reading.findings]

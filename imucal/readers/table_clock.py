@@ -7,7 +7,7 @@ import numpy as np
 from imucal.clock import Clock
 from imucal.errors import ChoiceError, Fix
 from imucal.findings import Finding
-from imucal.readers.clocks import LOG_TIME, ClockReading, clock_from_stamps, compare_clocks
+from imucal.readers.clocks import LOG_TIME, ClockReading, clock_from_stamps, compare_clocks, stamp_trace
 from imucal.readers.files import refused
 from imucal.readers.fixes import GIVE_RATE, NAME_TIME, TIME_UNIT
 from imucal.readers.repeated_rows import sent_twice
@@ -54,6 +54,7 @@ def table_clock(work: Work, columns: SensorRows) -> ClockReading:
     )
     if log is not None and reading.clock.source == source:
         reading = replace(reading, findings=(*reading.findings, *compare_clocks(stamps, log)))
+    reading = replace(reading, trace=stamp_trace(stamps, log if source != LOG_TIME else None))
     work.decide("time", reading.clock.source if columns.source else f"{source}, {plan.time.words}")
     _compare_rates(work, columns.rate_hz, reading.clock.rate_hz)
     return reading

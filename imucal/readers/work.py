@@ -5,6 +5,7 @@ from typing import Self
 
 from imucal.findings import Finding
 from imucal.readers.read_options import ReadOptions
+from imucal.recording import StampTrace
 
 
 @dataclass(kw_only=True, eq=False)
@@ -16,6 +17,7 @@ class Work:
     #: See `imucal.recording.Source`.
     values: dict[str, str] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
+    stamps: list[StampTrace] = field(default_factory=list)
 
     def decide(self, what: str, how: str, *, value: str = "") -> None:
         """Add a decision with its reason, and its `value` if programs need it."""
@@ -26,4 +28,4 @@ class Work:
 
     def silent(self) -> Self:
         """Return a copy whose decisions and findings are discarded."""
-        return replace(self, decisions=[], values={}, findings=[])
+        return replace(self, decisions=[], values={}, findings=[], stamps=[])

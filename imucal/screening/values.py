@@ -1,7 +1,7 @@
 """Checks of values: missing, stuck, clipped, coarse, repeated, copied, or implausible in SI units."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -152,27 +152,35 @@ def check_filled(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
         if between:
             text = (
                 f"{between:.1%} of the {sensor} samples are exactly midway between their neighbours on all "
-                "axes: the driver or a converter has interpolated lost samples, which distorts the curve "
-                "at short "
-                f"times: an N from these times is up to {0.75 * between:.1%} too large."
+                "axes: the driver or a converter has interpolated lost samples."
             )
-            advice = "Log the sensor's own samples and leave lost ones out: imucal allows for gaps."
+            advice = (
+                "Log the sensor's own samples and leave lost ones out: imucal allows for gaps. An N from "
+                f"short times is up to {0.75 * between:.1%} too large."
+            )
             findings.append(Finding("warning", "interpolated-samples", text, advice, axis=sensor.short))
     return tuple(findings)
 
 
 def _held(group: list[Profile]) -> float:
-    return _together(group, lambda _, samples: np.diff(samples) == 0)
+    return _together(group, lambda _, samples: held_samples(samples))
+
+
+def held_samples(samples: FloatArray) -> BoolArray:
+    """Return which samples after the first repeat the previous one, shape (n - 1,)."""
+    return np.asarray(np.diff(samples) == 0)
 
 
 def _interpolated(group: list[Profile]) -> float:
-    def midway(p: Profile, samples: FloatArray) -> BoolArray:
-        # A text log rounds each sample by up to half a step.
-        rounding = max(2.01 * (p.lsb or 0.0), 8 * float(np.spacing(np.abs(samples).max())))
-        steps = np.diff(samples)
-        return np.asarray((np.abs(np.diff(steps)) <= rounding) & (steps[1:] != 0))
+    return _together(group, midway_samples)
 
-    return _together(group, midway)
+
+def midway_samples(p: Profile, samples: FloatArray) -> BoolArray:
+    """Return which samples are midway between their neighbours, without the ends, shape (n - 2,)."""
+    # A text log rounds each sample by up to half a step.
+    rounding = max(2.01 * (p.lsb or 0.0), 8 * float(np.spacing(np.abs(samples).max())))
+    steps = np.diff(samples)
+    return np.asarray((np.abs(np.diff(steps)) <= rounding) & (steps[1:] != 0))
 
 
 def _together(group: list[Profile], marked: Callable[[Profile, FloatArray], BoolArray]) -> float:
@@ -200,15 +208,21 @@ def check_duplicates(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     """Return an error for each pair of axes with the same samples, up to sign, scale and offset."""
     findings = []
     advice = "Check the choice of columns, or the driver that fills them."
+    for one, two, correlation in copied_pairs(profiles):
+        sign = "the same samples" if correlation > 0 else "the same samples with opposite sign"
+        text = f"{one.name} and {two.name} contain {sign} (correlation {correlation:.3f})."
+        findings.append(Finding("error", "duplicate-axes", text, advice))
+    return tuple(findings)
+
+
+def copied_pairs(profiles: Sequence[Profile]) -> Iterator[tuple[Profile, Profile, float]]:
+    """Yield pairs of axes with the same samples, and the correlation of their differences."""
     for one, two in combinations(profiles, 2):
         if one.constant or two.constant or one.series.n != two.series.n or one.series.n < _MIN_SAMPLES:
             continue
         correlation = _correlation(one, two)
         if abs(correlation) > _COPY:
-            sign = "the same samples" if correlation > 0 else "the same samples with opposite sign"
-            text = f"{one.name} and {two.name} contain {sign} (correlation {correlation:.3f})."
-            findings.append(Finding("error", "duplicate-axes", text, advice))
-    return tuple(findings)
+            yield one, two, correlation
 
 
 def _correlation(one: Profile, two: Profile) -> float:

@@ -1,15 +1,24 @@
 """``imucal doctor``: the table, JSON, JUnit XML and exit codes."""
 
+import errno
 import json
+import os
+import shlex
+import subprocess
+import sys
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
+import yaml
 
 import imucal
 from imucal.errors import ChoiceError
+from imucal.report import out_folder
 from tests.cli.run import run
 from tests.raising import raises
+
+ACTIONS = Path(__file__).parents[2] / ".github" / "actions"
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +91,74 @@ def test_a_warning_is_refused_if_strict(drive: Path) -> None:
     strict = run("doctor", "lost.csv", "-q", "--strict", cwd=drive)
     assert (strict.returncode, strict.stdout) == (4, done.stdout)
     assert strict.stderr == "Error: lost.csv: gaps: --strict allows no warning\n"
+
+
+def test_a_folder_has_a_page_and_the_same_json(drive: Path, tmp_path: Path) -> None:
+    """Without -o nothing is written; a good log has no picture."""
+    before = sorted(path.name for path in drive.iterdir())
+    alone = run("doctor", "yaw.csv", "--json", "-q", cwd=drive)
+    assert sorted(path.name for path in drive.iterdir()) == before
+    done = run("doctor", "yaw.csv", "--json", "-o", str(tmp_path / "out"), cwd=drive)
+    assert (done.returncode, done.stdout) == (1, alone.stdout)
+    assert done.stderr.endswith(f"Wrote {tmp_path / 'out'}: doctor.json, doctor.html, 1 picture\n")
+    assert json.loads((tmp_path / "out" / "doctor.json").read_bytes()) == json.loads(alone.stdout)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "doctor-axes.png",
+        "doctor.html",
+        "doctor.json",
+    ]
+    done = run("doctor", "drive.csv", "-o", str(tmp_path / "out"), cwd=drive)
+    assert done.returncode == 0
+    assert done.stderr.endswith(": doctor.json, doctor.html\n")
+    assert not (tmp_path / "out" / "doctor-axes.png").exists()
+
+
+def test_the_page_shows_the_option_of_a_fix(drive: Path, tmp_path: Path) -> None:
+    """The option is the one of the command line."""
+    run("doctor", "drive.csv", "--gyro-unit", "deg/s", "-o", str(tmp_path / "out"), "-q", cwd=drive)
+    assert "<code>--gyro-unit rad/s</code>" in (tmp_path / "out" / "doctor.html").read_text(encoding="utf-8")
+
+
+def test_a_folder_that_cannot_be_written_ends_with_5(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A foreign folder and a file are refused before the log is read; a full disk changes nothing."""
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("mine", encoding="utf-8")
+    for path in ("mine", "mine/notes.txt"):
+        done = run("doctor", "nothing.csv", "-o", str(tmp_path / path), cwd=drive)
+        assert (done.returncode, done.stdout) == (5, "")
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(out_folder, "sync_folder", full)
+    done = run("doctor", "yaw.csv", "-q", "-o", str(tmp_path / "out"), cwd=drive)
+    assert done.returncode == 5
+    assert "free some space" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_action_of_github_runs(drive: Path, tmp_path: Path) -> None:
+    """The last step with its inputs in the environment, and all inputs have a description."""
+    action = yaml.safe_load((ACTIONS / "doctor" / "action.yml").read_text(encoding="utf-8"))
+    assert all(entry["description"] for entry in action["inputs"].values())
+    step = action["runs"]["steps"][-1]
+    assert set(step["env"]) == {name.upper() for name in action["inputs"]}
+    for expect, code in (("", 0), ("z-down", 1)):
+        values = {"LOG": str(drive / "drive.csv"), "OUT": str(tmp_path / "out"), "EXPECT": expect}
+        command = f'imucal() {{ {shlex.quote(sys.executable)} -m imucal "$@"; }}; {step["run"]}'
+        done = subprocess.run(  # noqa: S603 - our own command
+            ["/bin/bash", "-c", command],
+            cwd=tmp_path,
+            env=os.environ | values,
+            capture_output=True,
+            check=False,
+            timeout=60,
+        )
+        assert done.returncode == code, done.stderr
+        assert (tmp_path / "out" / "doctor.html").exists()
+        assert (tmp_path / "out.xml").exists()
 
 
 def test_a_log_of_few_samples_passes_no_check_of_them(drive: Path) -> None:

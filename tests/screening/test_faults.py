@@ -282,8 +282,7 @@ FAULTS: list[tuple[Fault, str, str, str | None, str]] = [
      "per second, about 50 of them new.")),
     (filled_in, "warning", "interpolated-samples", "gyro",
      ("5.0% of the gyroscope samples are exactly midway between their neighbours on all axes: the driver or "
-     "a converter has interpolated lost samples, which distorts the curve at short times: an N from these "
-     "times is up to 3.8% too large.")),
+     "a converter has interpolated lost samples.")),
     (weightless, "warning", "no-gravity", "accel",
      "The accelerometer shows no gravity: |a| is 0.0045 m/s^2."),
 ]  # fmt: skip

@@ -26,7 +26,7 @@ from imucal.readers.clocks.placing import (
 from imucal.readers.clocks.readings import estimate_period, two_readings
 from imucal.readers.clocks.wander import wander
 from imucal.readers.fixes import GIVE_RATE, give_rates
-from imucal.recording import gap_findings
+from imucal.recording import StampTrace, gap_findings
 
 LOG_TIME = "log time"
 
@@ -59,6 +59,8 @@ _MAX_EXAMINED = 100_000
 _MIN_DURATION_S = 60.0
 #: Smallest reported relative difference of clocks: quartz is better.
 _MIN_DRIFT = 5e-4
+#: Number of parts of a log of which the extreme stamps are kept for pictures.
+_PARTS = 1000
 
 
 def repeats(stamps: IntArray, rows: Sequence[NDArray[Any]] | FloatArray) -> BoolArray | None:
@@ -105,6 +107,27 @@ def compare_clocks(stamps: IntArray, log: IntArray) -> list[Finding]:
     return findings
 
 
+def stamp_trace(stamps: IntArray, log: IntArray | None) -> StampTrace:
+    """Return the extremes of stamps in ns, and of their difference from log times, both of shape (n,)."""
+    places: list[int] = []
+    differing: list[int] = []
+    edges = np.linspace(1, stamps.size, min(_PARTS, max(stamps.size - 1, 0)) + 1).astype(np.int64)
+    for first, stop in zip(edges.tolist(), edges[1:].tolist(), strict=False):
+        intervals = np.diff(stamps[first - 1 : stop])
+        places += sorted({first + int(intervals.argmin()), first + int(intervals.argmax())})
+        if log is not None:
+            late = log[first:stop] - stamps[first:stop]
+            differing += sorted({first + int(late.argmin()), first + int(late.argmax())})
+    index, compared = np.array(places, dtype=np.int64), np.array(differing, dtype=np.int64)
+    late_s = (log[compared] - stamps[compared]) / 1e9 if log is not None else np.zeros(0)
+    return StampTrace(
+        index=index,
+        interval_s=(stamps[index] - stamps[index - 1]) / 1e9,
+        compared=compared,
+        late_s=late_s,
+    )
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClockReading:
     """The clock, the samples to keep and the findings."""
@@ -114,6 +137,8 @@ class ClockReading:
     order: IntArray | None = None
     #: `Finding.axis` is None.
     findings: tuple[Finding, ...] = ()
+    #: The stamps for pictures; None without stamps.
+    trace: StampTrace | None = None
 
 
 def clock_from_stamps(
