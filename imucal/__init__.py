@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from imucal.calibration.intrinsics_files import load_calibration
     from imucal.comparison import compare
     from imucal.errors import ImucalError
-    from imucal.facade import check, doctor, export, fit, info, sensor, simulate
+    from imucal.facade import check, doctor, export, fit, info, sensor, simulate, thermal
     from imucal.fitting.decomposition import decompose
     from imucal.fleet.running import run_fleet
     from imucal.fleet.summary import load_fleet
@@ -68,6 +68,7 @@ __all__ = [
     "run_fleet",
     "sensor",
     "simulate",
+    "thermal",
     "write_report",
 ]
 
@@ -99,6 +100,7 @@ _HOMES = {
     "run_fleet": "fleet.running",
     "sensor": "facade",
     "simulate": "facade",
+    "thermal": "facade",
     "write_report": "report",
 }
 

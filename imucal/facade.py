@@ -38,13 +38,15 @@ from imucal.report.exports.config_numbers import AxisPolicy, Basis, ExportOption
 from imucal.report.json_file import load
 from imucal.report.result import Report
 from imucal.sensors import Part, find_sensor
+from imucal.temperature import Thermal
+from imucal.temperature import thermal as thermal_of
 from imucal.units import G0
 from imucal.user_input import seconds_of
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-__all__ = ["check", "doctor", "export", "fit", "info", "sensor", "simulate"]
+__all__ = ["check", "doctor", "export", "fit", "info", "sensor", "simulate", "thermal"]
 
 
 _ONE_AXIS = 'for one axis type imucal.fit(recording["gyro_x"])'
@@ -384,6 +386,25 @@ def doctor(recording: Recording | str | Path, *, expect: str | None = None) -> D
     """
     with _refusals():
         return diagnose(read(recording) if isinstance(recording, str | Path) else recording, expect=expect)
+
+
+def thermal(recording: Recording | str | Path) -> Thermal:
+    """Return the bias of each axis over the temperature, from a log at rest in which the IMU heats and cools.
+
+    Parameters
+    ----------
+    recording
+        From `imucal.read`, or the path of a log, with the temperature of the IMU.
+
+    Raises
+    ------
+    DataError
+        If the log has no temperature, a span below 5 K, or too few samples.
+    ReadError
+        If the log can't be read.
+    """
+    with _refusals():
+        return thermal_of(read(recording) if isinstance(recording, str | Path) else recording)
 
 
 def sensor(name: str) -> Part:

@@ -84,27 +84,40 @@ _TOPIC = "/imu/data_raw"
 _MESSAGES = 1 << 16
 _EUROC_HEADER = (
     "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
-    "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n"
+    "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]"
 )
+_HEAT_HEADER = ",temperature [degC]"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rows:
-    """Consecutive samples: index of the first, stamps in ns, shape (n,), rates and forces in SI, (n, 3)."""
+    """Consecutive samples: index of the first, stamps in ns, shape (n,), rates and forces in SI, (n, 3).
+
+    `temperature`, shape (n,), is in degrees Celsius; None without one.
+    """
 
     first: int
     stamps: IntArray
     rates: FloatArray
     forces: FloatArray
+    temperature: FloatArray | None = None
 
 
 def _rows(recording: Recording) -> Iterator[Rows]:
     clock, columns = recording.series[0].clock, [series.samples for series in recording.series]
+    heat = recording.temperature
+    known = heat.samples if heat is not None and heat.clock is clock else None
     for part in blocks(clock.n, size=_MESSAGES):
         place = clock.grid(part.start, part.stop)
         stamps = (clock.start_ns or 0) + np.rint(place * (1e9 / clock.rate_hz)).astype(np.int64)
         values = np.stack([column[part] for column in columns], axis=1)
-        yield Rows(first=part.start, stamps=stamps, rates=values[:, :3], forces=values[:, 3:])
+        yield Rows(
+            first=part.start,
+            stamps=stamps,
+            rates=values[:, :3],
+            forces=values[:, 3:],
+            temperature=None if known is None else known[part],
+        )
 
 
 def write_log(recording: Recording, path: Path) -> None:
@@ -126,9 +139,13 @@ def write_log(recording: Recording, path: Path) -> None:
 
 def _write_csv(path: Path, parts: Iterator[Rows]) -> None:
     with path.open("w", encoding="utf-8", newline="") as stream:
-        stream.write(_EUROC_HEADER)
-        for part in parts:
-            rows = np.concatenate([part.rates, part.forces], axis=1).tolist()
+        for number, part in enumerate(parts):
+            columns = [part.rates, part.forces]
+            if part.temperature is not None:
+                columns.append(part.temperature[:, np.newaxis])
+            if not number:
+                stream.write(_EUROC_HEADER + (_HEAT_HEADER if part.temperature is not None else "") + "\n")
+            rows = np.concatenate(columns, axis=1).tolist()
             for stamp, row in zip(part.stamps.tolist(), rows, strict=True):
                 stream.write(f"{stamp},{','.join(map(repr, row))}\n")
 

@@ -52,7 +52,6 @@ BELOW["checking"] = BELOW["planning"] | {"comparison", "calibration"}
 BELOW["advice"] = BASE | {"screening", "rests", "report"}
 BELOW["pipeline"] = BELOW["planning"] | {"screening", "planning", "advice"}
 BELOW["fleet"] = BELOW["pipeline"] | {"pipeline", "checking", "readers", "remote"}
-BELOW["correction"] = BASE | {"calibration", "readers"}
 BELOW["health"] = BASE | {
     "readers",
     "screening",
@@ -63,7 +62,16 @@ BELOW["health"] = BASE | {
     "checking",
     "report",
 }
-BELOW["facade"] = BELOW["fleet"] | {"calibration", "checking", "fleet", "health", "simulation"}
+BELOW["temperature"] = BASE | {"fitting", "noise", "report", "simulation"}
+BELOW["correction"] = BASE | {"calibration", "readers", "temperature"}
+BELOW["facade"] = BELOW["fleet"] | {
+    "calibration",
+    "checking",
+    "fleet",
+    "health",
+    "simulation",
+    "temperature",
+}
 BELOW["cli"] = set(BELOW) | {"cli"}
 BELOW["__main__"] = {"cli"}
 

@@ -131,6 +131,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "check": ("check", "Check a report or a log against limits, for CI."),
     "plan": ("plan", "Compute how long to record for a given precision."),
     "calibrate": ("calibrate", "Find bias, scale and misalignment from a log of rests and turns."),
+    "thermal": ("thermal", "Find the bias over temperature from a log that heats and cools."),
     "apply": ("apply", "Correct the IMU of a log by a calibration; other topics stay."),
     "compare": ("compare", "Find the terms of two reports that differ significantly."),
     "drift": ("drift", "Predict the drift of dead reckoning after a rest."),

@@ -24,13 +24,14 @@ SCHEMA = "imucal/apply/1"
 
 
 _EPILOG = unwrapped("""
-Calibrations: the folder or calibration.json of imucal calibrate;
+Calibrations: the folder of imucal calibrate, or of imucal thermal;
 imu_calibration.yaml of imucal export --to yaml; imu.yaml of Kalibr or
 OpenVINS with intrinsics; calibration.json of librealsense; the two files of
 imu_tk.
 
 Examples:
   imucal apply poses-calibration flight.mcap -o corrected.mcap
+  imucal apply ramp-thermal flight.mcap -o corrected.mcap
   imucal apply imu.yaml drive.bag -o corrected.bag --topic /imu/data
   imucal apply calibration.json log.csv -o corrected.csv
 
@@ -66,8 +67,10 @@ def command(
     from imucal.calibration.intrinsics_files import load_calibration
     from imucal.correction.rewriting import apply_to_log
     from imucal.readers.read_options import options_of
+    from imucal.temperature.document import load_thermal
+    from imucal.temperature.writer import is_thermal
 
-    found = load_calibration(calibration)
+    found = load_thermal(calibration) if is_thermal(calibration) else load_calibration(calibration)
     with lent([log]) as logs, logs.errors_named(), progress("correcting", *BYTES) as update:
         options = options_of(topic=topic, **reading, progress=update)
         applied = apply_to_log(found, logs.paths[0], out, options)

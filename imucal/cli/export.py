@@ -32,6 +32,7 @@ from imucal.cli.options import (
 )
 from imucal.cli.param_types import DURATION, Text
 from imucal.errors import DataError
+from imucal.grading import FORCE
 from imucal.prediction.filter_numbers import STEP_S
 from imucal.prediction.left_out import causes
 from imucal.recording import Sensor
@@ -42,6 +43,9 @@ from imucal.report.exports.target import name_key
 from imucal.report.given import FROM_SHEET
 from imucal.report.json_file import load
 from imucal.report.result import Report
+from imucal.temperature.document import load_thermal
+from imucal.temperature.exports import THERMAL_TARGETS, find_thermal_target, render_thermal
+from imucal.temperature.writer import is_thermal
 
 _FOLDER = Path("imucal-exports")
 
@@ -51,7 +55,8 @@ _TITLES = {target.name: target.title for target in exports.TARGETS.values()}
 
 def _target_name(text: str) -> str:
     """Return the name as typed; an ArgumentError if it is neither a downstream format nor all."""
-    if text != "all" and name_key(text) not in map(name_key, CALIBRATION_TARGETS):
+    others = {*map(name_key, CALIBRATION_TARGETS), *map(name_key, THERMAL_TARGETS)}
+    if text != "all" and name_key(text) not in others:
         exports.find_target(text, others=["all"])
     return text
 
@@ -100,6 +105,7 @@ _FORMATS = unwrapped(f"""
 Formats:
 {_LISTED}
 {_format_line("Calibration", CALIBRATION_TARGETS)}
+{_format_line("Temperature", THERMAL_TARGETS)}
 """)
 _EPILOG = unwrapped("""
 Examples:
@@ -188,8 +194,9 @@ def command(
 ) -> None:
     """Write the config file of a filter or simulator.
 
-    REPORT is the folder of 'imucal fit', 'imucal calibrate' or 'imucal fleet', a report.json, or a log,
-    which is fitted first. Comments in the file name each number's formula, unit, axis and interval.
+    REPORT is the folder of 'imucal fit', 'imucal calibrate', 'imucal thermal' or 'imucal fleet', a
+    report.json, or a log, which is fitted first. Comments in the file name each number's formula, unit, axis
+    and interval.
     """
     if coast_s is not None and coast_s <= STEP_S:
         misuse(f"{coast_s:g} s is not longer than {STEP_S:g} s, the time between two updates", "--coast")
@@ -200,8 +207,12 @@ def command(
         horizon_s=coast_s,
         topic=rostopic,
     )
-    if request.logs and is_calibration(path := Path(request.logs[0])):
+    path = Path(request.logs[0] if request.logs else "")
+    if request.logs and is_calibration(path):
         _export_calibration(path, targets, out, chosen)
+        return
+    if request.logs and is_thermal(path):
+        _export_thermal(path, targets, out)
         return
     source = request.logs[0] if request.logs else fleet_model or ""
     _require_noise_targets(targets, shown_address(source))
@@ -252,6 +263,20 @@ def _export_calibration(
         print_note("The files have no noise numbers: run imucal calibrate with --noise REPORT")
 
 
+def _export_thermal(path: Path, names: tuple[str, ...], out: str | None) -> None:
+    """Write the files of a temperature ramp."""
+    found = load_thermal(path)
+    if found.verdict == "not-usable" and not is_set("force"):
+        codes = ", ".join(each.code for each in found.findings if each.level == "error")
+        raise DataError(f"{codes} found; nothing was exported", place=path, fix=FORCE)
+    try:
+        targets = [find_thermal_target(name) for name in (THERMAL_TARGETS if "all" in names else names)]
+    except ValueError as error:
+        misuse(error, "--to")
+    texts = {target.file_name: render_thermal(found, target.name) for target in targets}
+    _write(texts, out, several=len(texts) > 1)
+
+
 def _require_noise_targets(names: tuple[str, ...], source: str) -> None:
     for name in names:
         try:
@@ -259,7 +284,8 @@ def _require_noise_targets(names: tuple[str, ...], source: str) -> None:
                 exports.find_target(name)
         except ValueError:
             misuse(
-                f"{name} is for a calibration, and {source} is not one; run 'imucal calibrate' on a log",
+                f"{name} is for a calibration or a temperature ramp, and {source} is neither; run "
+                "'imucal calibrate' or 'imucal thermal' on a log",
                 "--to",
             )
 

@@ -35,12 +35,22 @@ def log_to_write(_: click.Context, __: click.Parameter, path: Path | None) -> Pa
     return path
 
 
+def _ramp(text: str) -> tuple[float, float]:
+    """Return the lowest and the highest temperature of ``LOW:HIGH``, in degrees Celsius."""
+    low, colon, high = text.partition(":")
+    if not colon:
+        raise ValueError(f"{text!r} is not LOW:HIGH in degrees Celsius, such as -10:60")
+    return float(low), float(high)
+
+
 _EPILOG = unwrapped(r"""
 Examples:
   imucal simulate "N=1e-4 + B=2e-5 + K=1e-6" -o still.mcap
   imucal simulate "N=0.3deg/sqrt(h) + B=5deg/h" --accel "N=60ug/sqrt(Hz)" \
     --rate 400 --duration 2h --gap 10min:3s -o gaps.bag
   imucal simulate "N=1e-4" --accel "N=1e-3" --rests 18 --json -o poses.mcap
+  imucal simulate "N=1e-4" --temperature=-10:60 --duration 1h --rate 20 \
+    -o ramp.csv
 """)
 
 
@@ -84,6 +94,14 @@ Examples:
     help="Length of each rest, with --rests.",
 )
 @option(
+    "--temperature",
+    "ramp",
+    metavar="LOW:HIGH",
+    type=Text("ramp", _ramp),
+    help="Simulate heating and cooling between two temperatures, in degrees Celsius, for imucal thermal. "
+    "The log must be a .csv.",
+)
+@option(
     "--seed",
     metavar="N",
     type=click.IntRange(min=0),
@@ -111,6 +129,7 @@ def command(
     accel_lsb: float,
     rests: int | None,
     rest: float,
+    ramp: tuple[float, float] | None,
     seed: int,
     as_json: bool,
 ) -> None:
@@ -123,6 +142,7 @@ def command(
     """
     from imucal.calibration.known_log import simulate_rests
     from imucal.simulation import SensorTruth, simulate_recording, write_log
+    from imucal.temperature.known_log import simulate_ramp
 
     length = duration if rests is None else rests * (rest + 2.0)
     if not 1 <= length * rate <= _MAX_SAMPLES:
@@ -131,6 +151,10 @@ def command(
         )
     if rests and gaps:
         misuse("--gap and --rests exclude each other; omit one")
+    if ramp and (gaps or rests):
+        misuse("--temperature excludes --gap and --rests; omit them")
+    if ramp and out.suffix.lower() != ".csv":
+        misuse(f"{out.name} has no place for a temperature; name a .csv file", "-o")
     try:
         models = NoiseModel.parse(model), NoiseModel.parse(accel or model, Sensor.ACCELEROMETER)
     except ValueError as error:
@@ -141,6 +165,17 @@ def command(
             lsb = gyro_lsb, accel_lsb
             recording, known = simulate_rests(models, rests, rest_s=rest, rate_hz=rate, seed=seed, lsb=lsb)
             errors = {"calibration": picked(known, "M_a b_a M_g b_g G")}
+        elif ramp:
+            recording, effect = simulate_ramp(
+                models,
+                low_c=ramp[0],
+                high_c=ramp[1],
+                rate_hz=rate,
+                duration_s=duration,
+                seed=seed,
+                lsb=(gyro_lsb, accel_lsb),
+            )
+            errors = {"thermal": picked(effect, "middle_c half_k lag_s gyroscope accelerometer")}
         else:
             recording = simulate_recording(
                 gyroscope=SensorTruth(model=models[0], mean=(0.0, 0.0, 0.0), lsb=gyro_lsb),

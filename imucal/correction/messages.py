@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from imucal.arrays import FloatArray
+from imucal.arrays import FloatArray, IntArray
 from imucal.calibration.applying import Correction, without_force
+from imucal.correction.bias_over_time import BiasOverTime
 from imucal.correction.targets import Target
 from imucal.errors import DataError, Fix
 from imucal.readers.containers.container import Batch
@@ -27,7 +28,9 @@ class MessageCorrection:
     has g-sensitivity and its own topic, the force is interpolated at the times of its messages.
     """
 
-    def __init__(self, log: MessageLog, targets: Sequence[Target], correction: Correction) -> None:
+    def __init__(
+        self, log: MessageLog, targets: Sequence[Target], correction: Correction | BiasOverTime
+    ) -> None:
         self._log = log
         self._correction = correction
         self._own: dict[Table, dict[Sensor, Target]] = {}
@@ -37,11 +40,12 @@ class MessageCorrection:
         #: Decoders of the samples and of the times of a channel, and its sensors.
         self._channels: dict[tuple[int, int], tuple[BinaryDecoder, Decoder | None, dict[Sensor, Target]]] = {}
         self._force: tuple[FloatArray, FloatArray] | None = None
-        interpolated = bool(correction.G.any()) and apart
+        over_time = isinstance(correction, BiasOverTime)
+        interpolated = isinstance(correction, Correction) and bool(correction.G.any()) and apart
         for table, own in self._own.items():
-            self._add(table, own, timed=interpolated)
-        if interpolated:
-            self._force = self._forces(targets)
+            self._add(table, own, timed=interpolated or over_time)
+        if isinstance(correction, Correction) and interpolated:
+            self._force = self._forces(targets, correction)
 
     def _add(self, table: Table, own: dict[Sensor, Target], *, timed: bool) -> None:
         indices = [index for target in own.values() for index in target.indices]
@@ -60,7 +64,7 @@ class MessageCorrection:
                 raise DataError(problem, place=self._log.name, fix=Fix("convert the log to ROS messages"))
             self._channels[place] = decoder, times.get(place), own
 
-    def _forces(self, targets: Sequence[Target]) -> tuple[FloatArray, FloatArray]:
+    def _forces(self, targets: Sequence[Target], correction: Correction) -> tuple[FloatArray, FloatArray]:
         """Return the times in ns, shape (n,), and the corrected specific force, shape (n, 3), of the log."""
         target = next((one for one in targets if one.sensor is Sensor.ACCELEROMETER), None)
         if target is None:
@@ -71,7 +75,7 @@ class MessageCorrection:
         column = data.columns[target.table.log_time or 0] if stamp is None else data.columns[stamp]
         raw = np.column_stack([data.columns[index] for index in target.indices]).astype(np.float64)
         order = np.argsort(column, kind="stable")
-        force = self._correction.force(raw[order] * target.factor)
+        force = correction.force(raw[order] * target.factor)
         known = np.isfinite(force).all(axis=1)
         return np.asarray(column[order][known], np.float64), force[known]
 
@@ -88,17 +92,21 @@ class MessageCorrection:
             for place, (sensor, target) in enumerate(own.items())
         }
         times = batch.log_ns if timer is None else timer.decode(batch)[1]
-        corrected = self._corrected(raw, np.asarray(times, np.float64))
+        corrected = self._corrected(raw, np.asarray(times, np.int64))
         decoder.write(
             batch,
             [column for sensor, target in own.items() for column in (corrected[sensor] / target.result).T],
         )
 
-    def _corrected(self, raw: dict[Sensor, FloatArray], times: FloatArray) -> dict[Sensor, FloatArray]:
+    def _corrected(self, raw: dict[Sensor, FloatArray], times: IntArray) -> dict[Sensor, FloatArray]:
+        if isinstance(self._correction, BiasOverTime):
+            return self._correction.samples(raw, times)
         force = None
         if self._force is not None and Sensor.GYROSCOPE in raw:
             known, forces = self._force
-            force = np.column_stack([np.interp(times, known, column) for column in forces.T])
+            force = np.column_stack(
+                [np.interp(times.astype(np.float64), known, column) for column in forces.T]
+            )
         return self._correction.samples(raw, force)
 
 

@@ -12,6 +12,8 @@ from pathlib import Path
 from imucal.atomic import replacing
 from imucal.calibration.applying import Correction, refuse_unlike
 from imucal.calibration.document import Intrinsics
+from imucal.correction import bias_over_time
+from imucal.correction.bias_over_time import BiasOverTime
 from imucal.correction.job import AlreadyCorrectedError, Job, mark_file, mark_text
 from imucal.correction.mcap_file import rewrite_mcap
 from imucal.correction.messages import MessageCorrection
@@ -32,6 +34,7 @@ from imucal.readers.read_options import Progress, ReadOptions
 from imucal.readers.table import Log
 from imucal.readers.tables.text_table import TextLog
 from imucal.recording import Recording
+from imucal.temperature.result import Thermal
 
 #: Endings of files that are compressed as a whole.
 _ZSTD = (".zst", ".zstd")
@@ -59,7 +62,9 @@ class AppliedLog:
     findings: tuple[Finding, ...]
 
 
-def apply_to_log(calibration: Intrinsics, path: Path, out: Path, options: ReadOptions) -> AppliedLog:
+def apply_to_log(
+    calibration: Intrinsics | Thermal, path: Path, out: Path, options: ReadOptions
+) -> AppliedLog:
     """Write a copy of a log with corrected samples; everything else stays byte for byte.
 
     Raises DataError if the log and the calibration do not fit, or the log is damaged or already corrected;
@@ -77,9 +82,9 @@ def apply_to_log(calibration: Intrinsics, path: Path, out: Path, options: ReadOp
         choices = choose(log, first)
         recording = assemble(log, choices, first)
         _refuse_damage(recording)
-        findings = refuse_unlike(calibration, recording)
+        findings, correction = _correction(calibration, recording, log)
         targets = targets_of(choices, recording)
-        correction = Correction.of(calibration)
+        mark = mark_text(calibration.source.name if isinstance(calibration, Thermal) else calibration.source)
         with replacing(out) as scratch, _damage_refused(path):
             size = log.size_bytes or 0
 
@@ -89,7 +94,6 @@ def apply_to_log(calibration: Intrinsics, path: Path, out: Path, options: ReadOp
 
             if isinstance(log, MessageLog):
                 messages = MessageCorrection(log, targets, correction)
-                mark = mark_text(calibration.source)
                 _rewrite_messages(log, path, scratch, messages, mark=mark, progress=done)
             elif isinstance(log, TextLog):
                 table = TableCorrection(
@@ -100,7 +104,7 @@ def apply_to_log(calibration: Intrinsics, path: Path, out: Path, options: ReadOp
                 raise _unwritable(log, path)
         if isinstance(log, TextLog):
             with replacing(mark_file(out)) as note:
-                note.write_text(mark_text(calibration.source) + "\n", encoding="utf-8")
+                note.write_text(mark + "\n", encoding="utf-8")
     return AppliedLog(
         path=out,
         original=recording.source.path,
@@ -108,6 +112,16 @@ def apply_to_log(calibration: Intrinsics, path: Path, out: Path, options: ReadOp
         samples=max(series.n for series in recording.series),
         findings=(*recording.findings, *findings),
     )
+
+
+def _correction(
+    calibration: Intrinsics | Thermal, recording: Recording, log: Log
+) -> tuple[tuple[Finding, ...], Correction | BiasOverTime]:
+    """Return doubts about the pair, and what corrects the samples."""
+    if isinstance(calibration, Intrinsics):
+        return refuse_unlike(calibration, recording), Correction.of(calibration)
+    doubts = bias_over_time.refuse_unlike(calibration, recording, table=isinstance(log, TextLog))
+    return doubts, BiasOverTime.of(calibration, recording)
 
 
 def _refuse_suffix(path: Path, out: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from imucal.arrays import FloatArray
 from imucal.calibration.applying import Correction, without_force
+from imucal.correction.bias_over_time import BiasOverTime
 from imucal.correction.targets import Target
 from imucal.errors import DataError, Fix
 from imucal.readers.tables.layout import BLANKS, TextLayout
@@ -26,7 +27,7 @@ class TableCorrection:
 
     layout: TextLayout
     targets: Sequence[Target]
-    correction: Correction
+    correction: Correction | BiasOverTime
 
     @property
     def indices(self) -> list[int]:
@@ -38,7 +39,8 @@ class TableCorrection:
         if self.layout.prepare is not None or self.layout.quoted or any(one.rows for one in self.targets):
             problem = "the table has no row per sample with plain cells"
             raise DataError(problem, fix=Fix("write it as a plain CSV table"))
-        if self.correction.G.any() and len(self.targets) < len(Sensor):
+        correction = self.correction
+        if isinstance(correction, Correction) and correction.G.any() and len(self.targets) < len(Sensor):
             raise without_force("")
 
 
@@ -59,6 +61,7 @@ def rewrite_text(
     """
     table.refuse_unfit()
     read = 0
+    rows = 0
     lines: list[bytes] = []
     for number, line in enumerate(source):
         read += len(line)
@@ -67,15 +70,15 @@ def rewrite_text(
             continue
         lines.append(line)
         if len(lines) == _LINES:
-            _write_lines(lines, target, table)
+            rows += _write_lines(lines, target, table, rows)
             lines = []
             progress(read)
-    _write_lines(lines, target, table)
+    _write_lines(lines, target, table, rows)
     progress(read)
 
 
-def _write_lines(lines: Sequence[bytes], target: BinaryIO, table: TableCorrection) -> None:
-    """Write lines with corrected cells; lines that are no rows stay."""
+def _write_lines(lines: Sequence[bytes], target: BinaryIO, table: TableCorrection, first: int) -> int:
+    """Write lines with corrected cells, from row `first` on; lines that are no rows stay. Return the rows."""
     layout = table.layout
     indices = table.indices
     rows = [_row(line, layout) for line in lines]
@@ -83,7 +86,7 @@ def _write_lines(lines: Sequence[bytes], target: BinaryIO, table: TableCorrectio
     places = [place for place, found in enumerate(numbers) if found is not None]
     if places:
         raw = np.array([numbers[place] for place in places], np.float64)
-        values = _corrected(raw, table.targets, table.correction)
+        values = _corrected(raw, table.targets, table.correction, first)
         for place, found in zip(places, values.tolist(), strict=True):
             row = rows[place]
             if row is not None:
@@ -92,6 +95,7 @@ def _write_lines(lines: Sequence[bytes], target: BinaryIO, table: TableCorrectio
     mark = b"" if layout.delimiter == BLANKS else layout.delimiter.encode()
     for line, row in zip(lines, rows, strict=True):
         target.write(line if row is None else mark.join(row.cells) + row.end)
+    return len(places)
 
 
 def _row(line: bytes, layout: TextLayout) -> _Row | None:
@@ -124,8 +128,13 @@ def _written(cell: bytes, value: float, decimal: str) -> bytes:
     return cell[:start] + number + cell[start + len(text) :]
 
 
-def _corrected(raw: FloatArray, targets: Sequence[Target], correction: Correction) -> FloatArray:
-    """Return corrected numbers, shape (n, 3 per target), in the units of the log."""
+def _corrected(
+    raw: FloatArray, targets: Sequence[Target], correction: Correction | BiasOverTime, first: int
+) -> FloatArray:
+    """Return corrected numbers, shape (n, 3 per target), in the units of the log; from row `first` on."""
     parts = {one.sensor: raw[:, 3 * place : 3 * place + 3] * one.factor for place, one in enumerate(targets)}
-    found = correction.samples(parts)
+    if isinstance(correction, BiasOverTime):
+        found = correction.samples_of_rows(parts, first)
+    else:
+        found = correction.samples(parts)
     return np.hstack([found[one.sensor] / one.result for one in targets])
