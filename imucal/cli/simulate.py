@@ -149,12 +149,7 @@ def command(
         misuse(
             f"{length:g} s at {rate:g} Hz give {length * rate:.3g} samples; expected 1 to {_MAX_SAMPLES:g}"
         )
-    if rests and gaps:
-        misuse("--gap and --rests exclude each other; omit one")
-    if ramp and (gaps or rests):
-        misuse("--temperature excludes --gap and --rests; omit them")
-    if ramp and out.suffix.lower() != ".csv":
-        misuse(f"{out.name} has no place for a temperature; name a .csv file", "-o")
+    _refuse_together(gaps=gaps, rests=rests, ramp=ramp, out=out)
     try:
         models = NoiseModel.parse(model), NoiseModel.parse(accel or model, Sensor.ACCELEROMETER)
     except ValueError as error:
@@ -204,3 +199,19 @@ def command(
     }
     print_json(truth)
     print_note(f"{clock.n} samples at {rate:g} Hz, {clock.duration_s:g} s, written to {out}")
+
+
+def _refuse_together(
+    *,
+    gaps: tuple[tuple[float, float], ...],
+    rests: int | None,
+    ramp: tuple[float, float] | None,
+    out: Path,
+) -> None:
+    """Refuse options that exclude each other, and a ramp in a format without a temperature."""
+    if rests and gaps:
+        misuse("--gap and --rests exclude each other; omit one")
+    if ramp and (gaps or rests):
+        misuse("--temperature excludes --gap and --rests; omit them")
+    if ramp and out.suffix.lower() != ".csv":
+        misuse(f"{out.name} has no place for a temperature; name a .csv file", "-o")

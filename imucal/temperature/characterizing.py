@@ -66,7 +66,8 @@ def _axis(ramp: Ramp, lags: Lags, axis: AxisBlocks) -> AxisThermal:
 
 def _rms(rest: FloatArray, axis: AxisBlocks) -> float:
     """Return the rms of what is left of the blocks, without white noise."""
-    return float(np.sqrt(max(float(np.mean(rest**2 - axis.white_variance / axis.counts)), 0.0)))
+    least = axis.white_variance / axis.counts.sum()
+    return float(np.sqrt(max(float(np.mean(rest**2 - axis.white_variance / axis.counts)), least)))
 
 
 def _hysteresis(ramp: Ramp, axis: AxisBlocks, rest: FloatArray) -> float | None:

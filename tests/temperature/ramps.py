@@ -30,13 +30,14 @@ STATIC: dict[str, Callable[[FloatArray], FloatArray]] = {
     "step": lambda u: 2 * np.tanh(3 * u),
 }
 #: Effects of u and of u behind 60 s and 200 s.
-SHAPES: dict[str, Callable[[FloatArray, FloatArray, FloatArray], FloatArray]] = {
-    **{name: (lambda u, _, __, f=shape: f(u)) for name, shape in STATIC.items()},
+LAGGING: dict[str, Callable[[FloatArray, FloatArray, FloatArray], FloatArray]] = {
     "line behind 60 s": lambda _, a, __: 3 * a,
     "parabola behind 60 s": lambda _, a, __: 2 * a - a**2,
     "gradient of 200 s": lambda u, _, b: 2 * u + 1.5 * (b - u),
     "gradient of 60 s": lambda u, a, _: u**2 + 2 * (a - u),
 }
+#: Names of all effects.
+SHAPES = (*STATIC, *LAGGING)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,7 +80,8 @@ def known_ramp(
         u = 2 * np.where(place < 0.5, up, down) - 1
     temperature = MIDDLE + HALF * u
     behind = [lagged(u, seconds * rate_hz) for seconds in (60.0, 200.0)]
-    bias = SIZE * SHAPES[shape](u, behind[0], behind[1])
+    effect = STATIC[shape](u) if shape in STATIC else LAGGING[shape](u, behind[0], behind[1])
+    bias = SIZE * effect
     model = NoiseModel.parse(noise)
     samples = bias + model.simulate(n, rate_hz=rate_hz, rng=rng)
     read = np.round((temperature + 0.05 * rng.standard_normal(n)) * 16) / 16

@@ -111,7 +111,7 @@ def corrected(recording: Recording) -> Recording:
 @pytest.mark.parametrize(
     ("change", "code", "level", "text"),
     [
-        (turned, "thermal-attitude", "error", "The IMU turned by 5° at 16 min"),
+        (turned, "thermal-attitude", "error", "The IMU turned by 5.1° at 16 min"),
         (two_ways, "thermal-hysteresis", "warning", "Heating and cooling differ by up to 0.00"),
         (coarse, "thermal-steps", "warning", "The temperature has steps of 3 K"),
         (without_effect, "thermal-no-effect", "info", "No effect of temperature beyond noise on gyro_"),
@@ -226,4 +226,4 @@ def test_the_table_fits_the_terminal(found: Thermal) -> None:
     assert max(map(len, table(found, 80).splitlines())) <= 80
     assert max(map(len, table(found, 40).splitlines())) <= 40
     assert table(found, 40).count("gyro_x:") == 1
-    assert repr(found).startswith("simulated: good, -10.0 to 60.0 °C")
+    assert repr(found).startswith("simulated: good, -9.6 to 59.6 °C")

@@ -26,7 +26,7 @@ def error_in_a_new_log(known: KnownRamp, ramp: Ramp, fit: Fit, rng: np.random.Ge
     means = np.array([part.mean() for part in np.array_split(known.bias + slow, ramp.blocks)])
     rest = means - curve_on(fit.curve, ramp, np.arange(ramp.blocks))
     white = 1e-4**2 / ramp.block_s
-    return float(np.sqrt(max(np.var(rest) - white, white / ramp.blocks)))
+    return float(np.sqrt(max(float(np.var(rest)) - white, white / ramp.blocks)))
 
 
 def covered(shape: str, rng: np.random.Generator, noise: str, *, chamber: bool) -> np.ndarray:
