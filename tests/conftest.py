@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 __all__ = [
+    "axes_are_screened_once",
     "faults_fail_the_test",
     "forks",
     "logs_are_done_here",
@@ -47,6 +48,15 @@ def faults_fail_the_test(monkeypatch: pytest.MonkeyPatch) -> None:
     from imucal import side_work
 
     monkeypatch.setattr(side_work, "faults_are_raised", lambda: True)
+
+
+@pytest.fixture
+def axes_are_screened_once() -> Iterator[None]:
+    """Screen each axis once for all tests with equal samples."""
+    from tests.screening.once import axes_screened_once
+
+    with axes_screened_once():
+        yield
 
 
 @pytest.fixture

@@ -102,7 +102,7 @@ _TABLES = ("_LOG_CHECKS", "_REST_CHECKS", "_AXIS_CHECKS")
 _CHECKS = [(table, i) for table in _TABLES for i in range(len(getattr(screening, table)))]
 
 
-@pytest.mark.usefixtures("as_a_user")
+@pytest.mark.usefixtures("as_a_user", "axes_are_screened_once")
 @pytest.mark.parametrize(("table", "index"), _CHECKS)
 def test_a_failed_check_does_not_prevent_the_others(
     monkeypatch: pytest.MonkeyPatch, table: str, index: int

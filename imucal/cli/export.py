@@ -284,8 +284,7 @@ def _require_noise_targets(names: tuple[str, ...], source: str) -> None:
                 exports.find_target(name)
         except ValueError:
             misuse(
-                f"{name} is for a calibration or a temperature ramp, and {source} is neither; run "
-                "'imucal calibrate' or 'imucal thermal' on a log",
+                f"{name} is for a calibration, and {source} is not one; run 'imucal calibrate' on a log",
                 "--to",
             )
 

@@ -5,6 +5,7 @@ Sizes in damaged or hostile files are checked before memory is allocated.
 
 import bz2
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import IO
 
@@ -59,8 +60,9 @@ def lz4_for_ros1(data: bytes) -> bytes:
     return packed
 
 
+@cache
 def keep_freed_memory() -> None:
-    """Make glibc keep freed chunk buffers instead of returning each one to the system.
+    """Make glibc keep freed chunk buffers instead of returning each one to the system, once per process.
 
     Freeing a block of 31 MiB raises glibc's thresholds. Otherwise page faults take six times as long as
     decompressing lz4.

@@ -92,6 +92,7 @@ def test_a_failed_log_has_a_reason(
     assert set(row) == set(first_row(task, settings))
 
 
+@pytest.mark.usefixtures("pictures_are_blank")
 @pytest.mark.parametrize(
     ("reports", "kept"), [("none", []), ("failed", ["moved.npz"]), ("all", ["moved.npz", "still.npz"])]
 )
@@ -112,6 +113,7 @@ def test_a_failed_log_has_a_report_of_its_own(settings: FleetSettings, reports: 
     assert written == {path for path in expected for row in stored if row["report"] and row["report"] in path}
 
 
+@pytest.mark.usefixtures("pictures_are_blank")
 def test_a_report_that_cannot_be_written_is_an_error(settings: FleetSettings) -> None:
     """The run exits with 5, and the log does not count as done."""
     row = work_on(write_log("moved.npz", moved=True), settings)

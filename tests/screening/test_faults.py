@@ -6,14 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imucal import pipeline
 from imucal.arrays import FloatArray
 from imucal.clock import Clock
 from imucal.findings import Finding
-from imucal.fitting.spectral.disturbances.not_noise import not_noise
 from imucal.grading import grade_of
 from imucal.pipeline import screen
-from imucal.recording import AxisSeries
 from imucal.screening import screen_values
 from imucal.units import G0
 from tests.screening.still import recording, still
@@ -23,23 +20,6 @@ pytestmark = pytest.mark.usefixtures("axes_are_screened_once")
 N = 20_000
 T = np.arange(N) / 100.0
 Tables = tuple[FloatArray, FloatArray]
-#: Name, samples and temperature of an axis -> its findings. Most tests share five axes
-#: without a fault, and an axis takes 0.2 s.
-SEEN: dict[tuple[object, ...], tuple[Finding, ...]] = {}
-
-
-@pytest.fixture
-def axes_are_screened_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Screen each axis once for all tests with equal samples."""
-
-    def remembered(series: AxisSeries, temperature: FloatArray | None) -> tuple[Finding, ...]:
-        warmth = None if temperature is None else temperature.tobytes()
-        key = (series.name, series.clock.n, series.rate_hz, series.samples.tobytes(), warmth)
-        if key not in SEEN:
-            SEEN[key] = not_noise(series, temperature)
-        return SEEN[key]
-
-    monkeypatch.setattr(pipeline, "not_noise", remembered)
 
 
 def found(gyro: FloatArray, accel: FloatArray, temperature: FloatArray | None = None) -> tuple[Finding, ...]:

@@ -2,8 +2,9 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import lru_cache
 
 from imucal.readers.tables.layout import is_number
 from imucal.recording import Sensor
@@ -187,6 +188,12 @@ def parse_column(
     `context` contains all names: ``alpha_x`` is an acceleration only together with ``omega_x``; p, q, r are
     rates only together.
     """
+    return replace(_parsed_column(header, index, unit, context), cells=cells)
+
+
+@lru_cache(maxsize=4096)
+def _parsed_column(header: str, index: int, unit: str | None, context: frozenset[str]) -> NamedColumn:
+    """Return the parsed name without cells; logs of one recorder have the same names."""
     name = header.strip().strip("\ufeff").strip()
     text = name.strip("\"'").lstrip("#%").lstrip("/").strip().strip("\"'")
     text, named_unit, unknown_unit, number = _without_brackets(text)
@@ -213,7 +220,6 @@ def parse_column(
         numbered=numbered,
         unit=unit,
         unknown_unit=unknown_unit if unit is None else None,
-        cells=cells,
     )
 
 
@@ -400,6 +406,7 @@ def _is_time(words: list[str]) -> bool:
     return spelled and not _NOT_TIME.intersection(stems)
 
 
+@lru_cache(maxsize=4096)
 def sensor_of_name(name: str) -> Sensor | None:
     """Return the sensor in a file name or a row's tag, or None."""
     plain = name.lower()
