@@ -16,8 +16,10 @@ RAMP = ("simulate", "N=1e-4 + B=1e-5", "--accel", "N=1e-3", "--temperature=-10:6
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with ramp.csv, its true effect in truth.json, and the result in ramp-thermal."""
+    """Return a folder with ramp.csv, its truth.json, its result in ramp-thermal, and cold.csv without one."""
     folder = tmp_path_factory.mktemp("ramp")
+    done = run("simulate", "N=1e-4", "--duration", "10min", "--rate", "2", "-o", "cold.csv", cwd=folder)
+    assert done.returncode == 0
     done = run(*RAMP, "--rate", "2", "--seed", "31", "--json", "-q", "-o", "ramp.csv", cwd=folder)
     assert done.returncode == 0, done.stderr
     (folder / "truth.json").write_text(done.stdout, encoding="utf-8")
@@ -64,8 +66,6 @@ def test_json_has_the_true_effect(folder: Path) -> None:
 
 def test_logs_that_show_nothing(folder: Path) -> None:
     """Exit code 4, and what to do; --strict also refuses a warning."""
-    done = run("simulate", "N=1e-4", "--duration", "10min", "--rate", "2", "-o", "cold.csv", cwd=folder)
-    assert done.returncode == 0
     done = run("thermal", "cold.csv", cwd=folder)
     assert done.returncode == 4
     assert "the log has no temperature" in done.stderr
