@@ -20,7 +20,7 @@ from imucal.health.motion_evidence import (
 from imucal.health.stream import Stream
 from imucal.health.turning import Turning
 from imucal.recording import Sensor
-from imucal.screening.values import check_accelerometer_unit, check_gyroscope_unit, check_swapped
+from imucal.screening.values import check_gravity_length, check_gyroscope_unit, check_swapped, shaken
 from imucal.screening.windows import Profile
 from imucal.units import G0
 
@@ -107,7 +107,10 @@ def accelerometer_unit_row(stream: Stream) -> Row:
     if not has_gravity(stream):
         found = "the accelerometer shows no gravity, so its unit can't be told"
         return question.answer("unknown", found, _RECORD_RESTS, values=values)
-    for finding in check_accelerometer_unit(axes):
+    if shaken(axes) and gravity_unit(length) is None:
+        found = f"the accelerometer is shaken, and |a| of {length:.3g} at quiet moments is gravity in no unit"
+        return question.answer("unknown", found, _RECORD_RESTS, values=values)
+    for finding in check_gravity_length(axes):
         return question.answer_by(finding, "fail", values, gravity_length_over_time(stream))
     found = f"at quiet moments |a| is {length:.4g} m/s^2, expected {G0:.1f}"
     return question.answer("pass", found, values=values)

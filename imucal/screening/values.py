@@ -288,10 +288,15 @@ def _of(sensor: Sensor, profiles: Sequence[Profile]) -> list[Profile]:
 
 
 def check_accelerometer_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
+    """Return a finding if the length of gravity does not match m/s², unless the IMU is shaken."""
+    return () if swapped(profiles) or shaken(profiles) else check_gravity_length(profiles)
+
+
+def check_gravity_length(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     """Return a finding if the length of gravity does not match m/s²."""
     accel = _of(Sensor.ACCELEROMETER, profiles)
     length = gravity(accel)
-    if length is None or swapped(profiles) or shaken(profiles) or gravity_unit(length) == "m/s^2":
+    if length is None or gravity_unit(length) == "m/s^2":
         return ()
     if is_gravity_per_sample(length, accel[0].series.rate_hz):
         rate = accel[0].series.rate_hz
