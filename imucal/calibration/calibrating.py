@@ -51,6 +51,7 @@ from imucal.user_input import seconds_of
 
 if TYPE_CHECKING:
     from imucal.calibration.turn_data import Turn
+    from imucal.findings import Finding
 
 __all__ = ["calibrate"]
 
@@ -148,7 +149,7 @@ def calibrate(
     sigma[used] = np.sqrt(np.diag(estimate.fit.residual_covariance))
     result = _accelerometer(estimate, axes, found.keeping(used), place, si=si)
     every_turn: tuple[Turn, ...] = ()
-    trouble: DataError | None = None
+    trouble: Finding | None = None
     rotating = None
     if turning is not None:
         both = found.keeping(used), turning.keeping(used)

@@ -10,8 +10,7 @@ from imucal.arrays import BoolArray, FloatArray
 from imucal.calibration.poses import moved_rests
 from imucal.calibration.result import Calibration, rms
 from imucal.calibration.slow_noise import AccelerometerEstimate
-from imucal.errors import DataError
-from imucal.findings import Finding, Level, as_sentence
+from imucal.findings import Finding, Level
 
 __all__ = ["Facts", "findings_of", "worse_than_before"]
 
@@ -65,7 +64,7 @@ class Facts:
     in_hand: bool
     z: FloatArray
     estimate: AccelerometerEstimate
-    trouble: DataError | None
+    trouble: Finding | None
     rate_hz: float
     stamped: bool
     final_rate: FloatArray
@@ -264,10 +263,8 @@ _TURNS = {
 
 def _turns(facts: Facts) -> Iterator[Finding]:
     if facts.trouble:
-        text = as_sentence(facts.trouble.problem)
-        (fix,) = facts.trouble.fixes
-        advice = f"{as_sentence(fix.text)} Otherwise, calibrate without the gyroscope."
-        yield Finding("error", "turns-unexplained", text, advice, axis="gyro", fix=fix)
+        advice = f"{facts.trouble.advice} Otherwise, calibrate without the gyroscope."
+        yield replace(facts.trouble, level="error", advice=advice)
     yield from _rate(facts)
     yield from _zeroed(facts)
     for why, finding in _TURNS.items():

@@ -18,6 +18,7 @@ from imucal.calibration.slow_noise import AccelerometerEstimate
 from imucal.calibration.turn_data import Headings, Turn, TurnData, prepare_turns, start_of
 from imucal.calibration.turns import GyroNoise, TurnsFit, direction_covariance, fit_turns
 from imucal.errors import DataError
+from imucal.findings import Finding, as_sentence
 from imucal.noise import TERMS, NoiseModel
 
 __all__ = ["calibrate_gyroscope", "gyro_scale", "scale_of"]
@@ -54,7 +55,7 @@ def calibrate_gyroscope(
     known: KnownAngle | None,
     frame: Frame,
     si: tuple[bool | None, bool],
-) -> tuple[GyroscopeResult, tuple[Turn, ...], DataError | None]:
+) -> tuple[GyroscopeResult, tuple[Turn, ...], Finding | None]:
     """Return the gyroscope, its turns, and why they could not be explained, or None.
 
     `si` is whether the gyroscope was said to be in rad/s, and whether the accelerometer is in m/s².
@@ -113,7 +114,7 @@ def calibrate_gyroscope(
 
 def _start(
     plain: TurnData | None, known: KnownAngle | None, *, said_si: bool | None
-) -> tuple[FloatArray | None, FloatArray, DataError | None]:
+) -> tuple[FloatArray | None, FloatArray, Finding | None]:
     """Return where the fit of the turns begins, their known angles, and why there is no such place, or None.
 
     The start has shape (3, 3); the angles, shape (t,), are NaN if unknown. `said_si` is whether the log is in
@@ -130,7 +131,9 @@ def _start(
     try:
         start = start_of(plain)
     except DataError as error:
-        return None, unknown, error
+        (fix,) = error.fixes
+        text, advice = as_sentence(error.problem), as_sentence(fix.text)
+        return None, unknown, Finding("error", "turns-unexplained", text, advice, axis="gyro", fix=fix)
     if trouble := trouble_of(start):
         return None, unknown, trouble
     if known is None:

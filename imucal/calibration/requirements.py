@@ -7,7 +7,10 @@ import numpy as np
 from imucal.arrays import BoolArray, FloatArray
 from imucal.calibration.poses import RestMeans, Triad, attitudes, find_rests, step_of
 from imucal.errors import DataError, Fix
+from imucal.findings import Finding
 from imucal.recording import AXES
+from imucal.screening.faults import wrong_axes, wrong_gyroscope_unit
+from imucal.screening.values import looks_like, wrong_gravity
 
 __all__ = [
     "ADVICE", "MIN_RESTS", "require_attitudes", "require_range", "require_rests",
@@ -110,8 +113,8 @@ def require_range(data: Triad, rests: RestMeans) -> None:
     """Raise a DataError if the samples are in g, or an axis is clipped at rest."""
     norm = float(np.median(np.linalg.norm(rests.means, axis=1)))
     if _IN_G[0] < norm < _IN_G[1]:
-        msg = f"the accelerometer reads {norm:.3g} at rest, not 9.81 m/s²: its unit is g"
-        raise DataError(msg, fix=Fix("", "accel_unit", "g"))
+        found = wrong_gravity(norm, looks_like("g"))
+        raise DataError(found, fix=Fix("", "accel_unit", "g"), code="unit-suspect")
     for axis, column in enumerate(data.samples.T):
         parts = [column[first:end] for first, end in rests.spans]
         extremes = np.nanmin(column), np.nanmax(column)
@@ -126,29 +129,15 @@ def require_range(data: Triad, rests: RestMeans) -> None:
             )
 
 
-def trouble_of(start: FloatArray) -> DataError | None:
+def trouble_of(start: FloatArray) -> Finding | None:
     """Return why a start of the gyroscope can't be right, with a way to fix it; None if it can be right."""
-    if turned := _order_of(start):
-        return DataError(
-            f"x, y, z of the gyroscope are {turned} of the accelerometer",
-            fix=Fix("give both sensors the same axes, in the log or when reading it"),
-        )
+    signed = np.sign(np.where(np.abs(start) > 1e-6 * np.abs(start).max(), start, 0.0))
+    if not np.array_equal(signed, np.eye(3)):
+        return wrong_axes(signed.T)
     scale = float(np.median(1 / np.linalg.norm(start, axis=0)))
     if _IN_DEGREES[0] < scale < _IN_DEGREES[1]:
-        return DataError(
-            f"the gyroscope reads {scale:.3g} for 1 rad/s: its unit is deg/s",
-            fix=Fix("try --gyro-unit deg/s", "gyro_unit", "deg/s"),
-        )
+        return wrong_gyroscope_unit(scale, "deg/s")
     return None
-
-
-def _order_of(start: FloatArray) -> str:
-    """Return such as ``y, -x, z`` for permuted or mirrored axes; empty for the usual order."""
-    signed = np.sign(np.where(np.abs(start) > 1e-6 * np.abs(start).max(), start, 0.0))
-    if np.array_equal(signed, np.eye(3)):
-        return ""
-    places = np.argmax(np.abs(signed), axis=0)
-    return ", ".join(f"{'-' if signed[i, k] < 0 else ''}{AXES[i]}" for k, i in enumerate(places))
 
 
 def unusable_turns(data: Triad, rests: RestMeans) -> list[str]:

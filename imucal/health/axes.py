@@ -9,7 +9,7 @@ from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from imucal.health.diagnosis import Question, Row, Values
 from imucal.health.motion_evidence import orders_compared
 from imucal.health.turning import PROPER, Turning
-from imucal.screening.windows import name_list
+from imucal.screening.faults import signed_axes, wrong_axes
 
 __all__ = ["HOW_TO_TURN", "ORDERS", "Orders", "axes_row", "explaining_orders"]
 
@@ -197,34 +197,13 @@ def axes_row(turning: Turning | None, orders: Orders | None) -> Row:
         return question.answer("fail", found, advice, values=values, evidence=evidence)
     right = ORDERS[orders.best]
     values["mapping"] = _mapping(right)
-    found = f"the order and signs of the axes contradict {parts} turns: {_sentence(right)}"
-    advice = "Correct the axes in the driver; a filter diverges with these."
-    return question.answer("fail", found, advice, values=values, evidence=evidence)
+    return question.answer_by(wrong_axes(right), "fail", values, evidence)
 
 
 def _turns(parts: int) -> str:
     return "one turn allows" if parts == 1 else f"{parts} turns allow"
 
 
-def _signed_axes(order: FloatArray) -> list[str]:
-    names = []
-    for row in order:
-        axis = int(np.abs(row).argmax())
-        names.append(f"{'-' if row[axis] < 0 else ''}{'xyz'[axis]}")
-    return names
-
-
 def _mapping(order: FloatArray) -> str:
     """Return ``x=-y y=x z=z``: the accelerometer's axes that the gyroscope's measure."""
-    return " ".join(f"{axis}={right}" for axis, right in zip("xyz", _signed_axes(order), strict=True))
-
-
-def _sentence(order: FloatArray) -> str:
-    if np.array_equal(order, -np.eye(3)):
-        return "all three axes of the gyroscope have the wrong sign"
-    wrong = [
-        f"{axis} is along {right}"
-        for axis, right in zip("xyz", _signed_axes(order), strict=True)
-        if axis != right
-    ]
-    return f"the gyroscope's {name_list(wrong)} of the accelerometer"
+    return " ".join(f"{axis}={right}" for axis, right in zip("xyz", signed_axes(order), strict=True))

@@ -21,6 +21,14 @@ _IN_A_ROW = 3
 _RUNS = 2
 #: Length of a single run that is enough, in samples.
 _LONG_RUN = 12
+#: Fewest samples at a limit that vibration reaches for one or two samples at a time.
+_PILED = 10
+#: Steps within a limit whose samples are counted: without clipping, a sine has 2.3 times as many there.
+_INSIDE_STEPS = 10
+#: Least ratio of the samples at a limit to those just within it.
+_PILED_RATIO = 1.5
+#: Smallest difference of two samples that counts, as a share of an axis's span.
+_FINEST = 1e-4
 #: Median change just before and after a run, in steps of the axis; at rest it is one step.
 _ABRUPT_STEPS = 3.0
 #: Least share of an axis's span between its median and a limit: an axis that rests there is not clipped.
@@ -119,14 +127,16 @@ def _clip(p: Profile, word: str) -> _Clip | None:
     firsts, ends = np.flatnonzero(flags == 1), np.flatnonzero(flags == -1)
     lengths = ends - firsts
     runs = lengths >= _IN_A_ROW
-    if runs.sum() < _RUNS and (not lengths.size or lengths.max() < _LONG_RUN):
-        return None
     span = float(samples.max() - samples.min())
+    smallest = p.lsb if p.lsb is not None else 0.0
+    if runs.sum() < _RUNS and (not lengths.size or lengths.max() < _LONG_RUN):
+        if not _is_piled(samples, at_limit, limit, max(smallest, _FINEST * span)):
+            return None
+        runs = lengths > 0
     if abs(limit - float(np.median(samples))) < _AWAY * span:
         return None
     steps = _changes(samples, firsts[runs], ends[runs], limit)
-    smallest = p.lsb if p.lsb is not None else 0.0
-    if not steps.size or float(np.median(steps)) < max(_ABRUPT_STEPS * smallest, 1e-4 * span):
+    if not steps.size or float(np.median(steps)) < max(_ABRUPT_STEPS * smallest, _FINEST * span):
         return None
     first = int(firsts[runs][0])
     place = int(p.series.clock.grid(first, first + 1)[0])
@@ -139,6 +149,15 @@ def _clip(p: Profile, word: str) -> _Clip | None:
         first_s=place * p.series.tau0,
         longest=(int(firsts[longest]), int(ends[longest])),
     )
+
+
+def _is_piled(samples: FloatArray, at_limit: BoolArray, limit: float, step: float) -> bool:
+    """Return whether an axis is far more often at a limit than just within it, as clipped peaks are."""
+    count = int(at_limit.sum())
+    if count < _PILED:
+        return False
+    near_limit = np.abs(samples - limit) <= (_INSIDE_STEPS + 0.5) * step
+    return bool(count > _PILED_RATIO * (int(near_limit.sum()) - count))
 
 
 def _changes(samples: FloatArray, firsts: IntArray, ends: IntArray, limit: float) -> FloatArray:

@@ -20,7 +20,14 @@ from imucal.health.motion_evidence import (
 from imucal.health.stream import Stream
 from imucal.health.turning import Turning
 from imucal.recording import Sensor
-from imucal.screening.values import check_accelerometer_unit, check_gyroscope_unit, check_swapped
+from imucal.screening.faults import wrong_gyroscope_unit
+from imucal.screening.values import (
+    check_gravity_length,
+    check_gyroscope_unit,
+    check_swapped,
+    shaken,
+    unit_suspect,
+)
 from imucal.screening.windows import Profile
 from imucal.units import G0
 
@@ -107,7 +114,10 @@ def accelerometer_unit_row(stream: Stream) -> Row:
     if not has_gravity(stream):
         found = "the accelerometer shows no gravity, so its unit can't be told"
         return question.answer("unknown", found, _RECORD_RESTS, values=values)
-    for finding in check_accelerometer_unit(axes):
+    if shaken(axes) and gravity_unit(length) is None:
+        found = f"the accelerometer is shaken, and |a| of {length:.3g} at quiet moments is gravity in no unit"
+        return question.answer("unknown", found, _RECORD_RESTS, values=values)
+    for finding in check_gravity_length(axes):
         return question.answer_by(finding, "fail", values, gravity_length_over_time(stream))
     found = f"at quiet moments |a| is {length:.4g} m/s^2, expected {G0:.1f}"
     return question.answer("pass", found, values=values)
@@ -147,9 +157,7 @@ def gyroscope_unit_row(stream: Stream, turning: Turning | None, orders: Orders |
 def _unit_finding(reason: str) -> Finding:
     """Return the finding of `imucal.fit` for a gyroscope in deg/s."""
     text = f"The gyroscope may not be in rad/s: {reason}."
-    advice = "Run again with --gyro-unit deg/s; all its numbers scale with the unit."
-    fix = Fix("", "gyro_unit", "deg/s")
-    return Finding("warning", "unit-suspect", text, advice, axis="gyro", fix=fix)
+    return unit_suspect(Sensor.GYROSCOPE, text, "deg/s")
 
 
 def _unit_by_turns(turning: Turning, orders: Orders) -> Row:
@@ -163,22 +171,19 @@ def _row_of_turns(orders: Orders) -> Row:
     values: Values = {"scale": orders.scale, "finding": None}
     if orders.unit == "rad/s":
         return _scale_row(orders, values)
-    values["finding"] = "unit-suspect"
     factor = 1 / orders.scale
-    found = f"The gyroscope may not be in rad/s: it shows {factor:.3g} times the rates at which gravity turns"
+    finding = wrong_gyroscope_unit(factor, orders.unit)
     if orders.unit:
-        advice = f"Run again with --gyro-unit {orders.unit}; all its numbers scale with the unit."
-        fix = Fix("", "gyro_unit", orders.unit)
-        return _GYROSCOPE_UNIT.answer("fail", found, advice, fix=fix, values=values)
+        return _GYROSCOPE_UNIT.answer_by(finding, "fail", values)
     if abs(orders.scale * math.pi / 180 - 1) < _WRONG_SCALE:
         advice = "Values in rad/s seem to have been read as deg/s: run again with --gyro-unit rad/s."
         fix = Fix("", "gyro_unit", "rad/s")
-        return _GYROSCOPE_UNIT.answer("fail", found, advice, fix=fix, values=values)
+        return _GYROSCOPE_UNIT.answer_by(replace(finding, advice=advice, fix=fix), "fail", values)
     advice = (
         f"Give the gyroscope's scale when reading: --gyro-scale {orders.scale:.4g}, if these are raw counts."
     )
     fix = Fix("", "gyro_scale", f"{orders.scale:.4g}")
-    return _GYROSCOPE_UNIT.answer("fail", found, advice, fix=fix, values=values)
+    return _GYROSCOPE_UNIT.answer_by(replace(finding, advice=advice, fix=fix), "fail", values)
 
 
 def _scale_row(orders: Orders, values: Values) -> Row:

@@ -288,10 +288,15 @@ def _of(sensor: Sensor, profiles: Sequence[Profile]) -> list[Profile]:
 
 
 def check_accelerometer_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
+    """Return a finding if the length of gravity does not match m/s², unless the IMU is shaken."""
+    return () if swapped(profiles) or shaken(profiles) else check_gravity_length(profiles)
+
+
+def check_gravity_length(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     """Return a finding if the length of gravity does not match m/s²."""
     accel = _of(Sensor.ACCELEROMETER, profiles)
     length = gravity(accel)
-    if length is None or swapped(profiles) or shaken(profiles) or gravity_unit(length) == "m/s^2":
+    if length is None or gravity_unit(length) == "m/s^2":
         return ()
     if is_gravity_per_sample(length, accel[0].series.rate_hz):
         rate = accel[0].series.rate_hz
@@ -312,11 +317,20 @@ def check_accelerometer_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]
         advice = "If a driver removes gravity, log the raw acceleration: this has the noise of a filter."
         return (Finding("warning", "no-gravity", text, advice, axis="accel"),)
     guess, unit = _accelerometer_guess(accel, length)
-    text = f"|a| is {length:.4g} at rest, expected {G0:.1f} in m/s^2: {guess}."
-    return (_unit_suspect(Sensor.ACCELEROMETER, text, unit),)
+    return (unit_suspect(Sensor.ACCELEROMETER, f"{wrong_gravity(length, guess)}.", unit),)
 
 
-def _unit_suspect(sensor: Sensor, text: str, unit: str) -> Finding:
+def wrong_gravity(length: float, guess: str) -> str:
+    """Return the sentence, without its full stop, about a length of gravity that does not match m/s²."""
+    return f"|a| is {length:.4g} at rest, expected {G0:.1f} in m/s^2: {guess}"
+
+
+def looks_like(unit: str) -> str:
+    """Return the explanation of a length that is gravity in a unit."""
+    return f"the unit looks like {unit}"
+
+
+def unit_suspect(sensor: Sensor, text: str, unit: str) -> Finding:
     """Return the finding for data that seem to be in `unit`: a unit, ``count``, or empty."""
     scales = "all its numbers scale with the unit."
     advice, fix = f"Give the {sensor}'s unit when reading; {scales}", None
@@ -333,7 +347,7 @@ def _accelerometer_guess(accel: Sequence[Profile], length: float) -> tuple[str, 
     """Return an explanation of the length of gravity, and the unit to read the log with, if known."""
     unit = gravity_unit(length)
     if unit is not None and not (unit == "mg" and _are_counts(accel)):
-        return f"the unit looks like {unit}", unit
+        return looks_like(unit), unit
     # g converted to m/s² twice, or m/s² read as g
     if abs(length / G0**2 - 1) <= GRAVITY_TOLERANCE:
         return "values in m/s^2 seem to have been read as g", "m/s^2"
@@ -353,7 +367,7 @@ def check_gyroscope_unit(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
     if reason is None:
         return ()
     text = f"The gyroscope may not be in rad/s: {reason}."
-    return (_unit_suspect(Sensor.GYROSCOPE, text, "count" if _are_counts(gyro) else "deg/s"),)
+    return (unit_suspect(Sensor.GYROSCOPE, text, "count" if _are_counts(gyro) else "deg/s"),)
 
 
 def _gyroscope_reason(gyro: Sequence[Profile]) -> str | None:

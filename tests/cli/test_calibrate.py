@@ -177,8 +177,8 @@ def changed(one: Log, kind: str) -> Recording:
             None,
             "nothing was written; try --no-gyro for the accelerometer alone, or --force",
         ),
-        ("mirrored", None, "turns-unexplained found; nothing was written"),
-        ("degrees", None, "turns-unexplained found; nothing was written"),
+        ("mirrored", None, "axes found; nothing was written"),
+        ("degrees", None, "unit-suspect found; nothing was written"),
     ],
 )
 def test_a_log_that_cannot_be_calibrated_ends_with_code_4(
@@ -198,13 +198,14 @@ def test_a_log_that_cannot_be_calibrated_ends_with_code_4(
     # A finding breaks into lines at the width of the terminal.
     text = " ".join(done.stderr.split())
     if kind == "swapped":
-        assert "X, y, z of the gyroscope are y, -x, z of the accelerometer" in text
+        assert "the gyroscope's x is along y and y is along -x of the accelerometer." in text
     if kind == "degrees":
         assert re.search(
-            r"The gyroscope reads 5\d\.?\d? for 1 rad/s: its unit is deg/s. Try --gyro-unit deg/s.", text
+            r"it shows 5\d\.?\d? times the rates at which gravity turns. Run again with --gyro-unit deg/s;",
+            text,
         )
     if kind == "mirrored":
-        assert "X, y, z of the gyroscope are -x, y, z of the accelerometer" in text
+        assert "the gyroscope's x is along -x of the accelerometer." in text
 
 
 def test_swapped_axes_are_calibrated_after_reordering(tmp_path: Path) -> None:
@@ -223,7 +224,7 @@ def test_a_log_in_g_is_refused_with_the_option_that_helps(tmp_path: Path) -> Non
     arguments = ("calibrate", "g.csv", "--rate", "100", *PLACE, "-o", "out")
     done = run(*arguments, "--accel-unit", "m/s^2", cwd=tmp_path)
     assert done.returncode == 4
-    assert "its unit is g\nUse --accel-unit g.\n" in done.stderr
+    assert "the unit looks like g\nUse --accel-unit g.\n" in done.stderr
     option = done.stderr.strip().removesuffix(".").rpartition("Use ")[2].split()
     right = run(*arguments, *option, cwd=tmp_path)
     assert right.returncode == 0, right.stderr

@@ -39,6 +39,8 @@ DATA_END = 0x0F
 HEAD = struct.Struct("<BQ")
 #: Channel of a Message record.
 _MESSAGE_CHANNEL = struct.Struct("<9xH")
+#: Channel and log time of a Message record.
+_MESSAGE_HEAD = struct.Struct("<9xH4xq")
 #: Bytes of a Message record before its payload.
 _PAYLOAD = 31
 #: MessageIndex record: opcode, length, channel, bytes of entries.
@@ -55,6 +57,9 @@ _TAIL = 9 + 20 + 8
 _MAX_SUMMARY = 1 << 31
 #: Messages outside chunks are loaded in parts of this size, in bytes.
 _PART = 1 << 22
+#: A larger message outside chunks, such as a picture, is a part of its own, in bytes; it is not loaded with
+#: those of an IMU, which have about 300.
+_LARGE = 1 << 14
 #: A longer definition is damage, in bytes.
 _MAX_DEFINITION = 1 << 24
 #: Bytes read of each record in a scan; the names of compressions fit.
@@ -141,6 +146,8 @@ class McapFile(ChunkedFile):
 
     def _read_index(self) -> None:
         self._schemas: dict[int, Any] = {}
+        #: End of the last large message outside chunks.
+        self._large_end = 0
         try:
             self._read_summary()
         except DamagedError as error:
@@ -256,10 +263,7 @@ class McapFile(ChunkedFile):
         if opcode == CHUNK:
             self._chunks.append(Chunk(position, end, _compression(start)))
         elif opcode == MESSAGE and end - position >= _PAYLOAD:
-            if last is None or last.compression is not None or end - last.start > _PART:
-                self._chunks.append(Chunk(position, end, None))
-            else:
-                last.end = end
+            self._add_message(position, end, start)
         elif opcode == MESSAGE_INDEX and end - position > _INDEX.size:
             if last is None or last.compression is None:
                 return
@@ -267,6 +271,22 @@ class McapFile(ChunkedFile):
             # Indexes after a damaged chunk must not replace those of the previous chunk.
             if last.indexes.setdefault(key, position) == position:
                 self._counts[key] += (end - position - _INDEX.size) // _ENTRY
+
+    def _add_message(self, position: int, end: int, start: bytes) -> None:
+        """Add a message outside chunks to the last part, or to a new one, and count it."""
+        is_apart = end - position > _LARGE or self._large_end == position
+        if end - position > _LARGE:
+            self._large_end = end
+        last = self._chunks[-1] if self._chunks else None
+        if last is None or last.compression is not None or end - last.start > _PART or is_apart:
+            last = Chunk(position, end, None)
+            self._chunks.append(last)
+        last.end = end
+        key, log_ns = _MESSAGE_HEAD.unpack_from(start)
+        last.indexes[key] = None
+        self._counts[key] += 1
+        first, latest = self._times.get(key, (log_ns, log_ns))
+        self._times[key] = [min(first, log_ns), max(latest, log_ns)]
 
     def _channel(self, key: int, span: tuple[int | None, int | None]) -> Channel:
         record = self._defined[key]
