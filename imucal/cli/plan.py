@@ -1,7 +1,8 @@
-"""``imucal plan``: how long to record for a given precision, or the attitudes of a calibration."""
+"""``imucal plan``: how long to record for a precision, attitudes of a calibration, speed of a ramp."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 
 import click
 
@@ -11,6 +12,7 @@ from imucal.calibration.parameters import Parameter
 from imucal.calibration.table import readable
 from imucal.cli._printing import FULL, can_print, echo, picked, print_json, print_note, width, wrapped
 from imucal.cli._report_input import report_or_model
+from imucal.cli.context import misuse
 from imucal.cli.options import (
     MODEL,
     OUTPUT,
@@ -22,17 +24,36 @@ from imucal.cli.options import (
     si_units,
     unwrapped,
 )
-from imucal.cli.param_types import DURATION, LEVEL, PRECISION, RATE, Number
+from imucal.cli.param_types import DURATION, LEVEL, PRECISION, RATE, Number, Text
 from imucal.noise.terms import TERMS
 from imucal.planning import ENOUGH_DETECTED, ONE_DEVIATION, Need, Plan, needed_time, plan
 from imucal.recording import Sensor
 from imucal.report.result import Report
-from imucal.units import DatasheetUnit
+from imucal.temperature.document import load_thermal
+from imucal.temperature.planning import RampNeed, plan_ramp
+from imucal.temperature.table import UNITS
+from imucal.temperature.writer import is_thermal
+from imucal.units import SAMPLE_UNITS, DatasheetUnit
 from imucal.units import duration as duration_text
+from imucal.user_input import quantity
 
 SCHEMA = "imucal/planning/1"
 REST_SCHEMA = "imucal/calibration-plan/1"
+RAMP_SCHEMA = "imucal/thermal-plan/1"
 _KINDS = {"scale": "scale", "misalignment": "misalignment", "bias": "bias", "g_sensitivity": "g-sensitivity"}
+
+
+def _error_of(sensor: Sensor) -> Text:
+    """Return the type of an option for an error of a sensor, such as ``5deg/h``; the value is in SI."""
+
+    def parse(text: str) -> float:
+        value = quantity(text, SAMPLE_UNITS[sensor])
+        if value is None or not value > 0:
+            units = ", ".join(SAMPLE_UNITS[sensor])
+            raise ValueError(f"{text!r} is not a positive number with one of the units {units}")
+        return value
+
+    return Text("error", parse)
 
 
 _EPILOG = unwrapped("""
@@ -42,6 +63,7 @@ Examples:
   imucal plan log-imucal --precision 5% --level 0.95
   imucal plan log-imucal --duration 3h --json -q
   imucal plan log-imucal --rests 18 --rest 5s --latitude 47.4
+  imucal plan ramp-thermal --gyro-error 5deg/h --accel-error 0.5mg
 
 Exit codes: 0 done, 2 usage, 3 the report can't be read.
 """)
@@ -77,6 +99,18 @@ Exit codes: 0 done, 2 usage, 3 the report can't be read.
     help="Length of each rest, with --rests.",
 )
 @option("--latitude", metavar="DEG", type=Number(-90, 90), help="Latitude of the place, with --rests.")
+@option(
+    "--gyro-error",
+    metavar="RATE",
+    type=_error_of(Sensor.GYROSCOPE),
+    help="Error that a ramp for imucal thermal may leave, such as 5deg/h.",
+)
+@option(
+    "--accel-error",
+    metavar="FORCE",
+    type=_error_of(Sensor.ACCELEROMETER),
+    help="The same for the accelerometer, such as 0.5mg.",
+)
 @flag("--json", "as_json", group=OUTPUT, help="Print the plan as JSON (SI) on standard output.")
 @si_units
 @quiet
@@ -98,6 +132,8 @@ def command(
     rests: int | None,
     rest: float,
     latitude: float | None,
+    gyro_error: float | None,
+    accel_error: float | None,
     si: bool,
     as_json: bool,
 ) -> None:
@@ -106,8 +142,11 @@ def command(
     MODEL_OR_REPORT is a model of the gyroscope, such as "N=0.3deg/sqrt(h) + B=5deg/h" (numbers without
     a unit are SI), or a report.json or its folder. Times follow from the smallest error that any method
     can reach (the Cramér-Rao bound). They are long enough that about four of five logs detect the term.
-    If a report contains only an upper bound of a term, the bound is used.
+    If a report contains only an upper bound of a term, the bound is used. For the folder of imucal
+    thermal, the plan is how slowly to heat and cool so that a curve without a lag has the given error.
     """
+    if _plans_a_ramp(source, gyro_error, accel_error, as_json=as_json):
+        return
     report = report_or_model(source, models, rate)
     if rests:
         _plan_rests(report, rests, rest, latitude, as_json=as_json)
@@ -249,3 +288,50 @@ def _worst(parameters: Mapping[str, Parameter], kind: str) -> str:
         return ""
     value, unit = readable(max(each.half_width or 0.0 for each in own), own[0].unit)
     return f"{value:.2g} {unit}"
+
+
+def _plans_a_ramp(
+    source: str | None, gyro_error: float | None, accel_error: float | None, *, as_json: bool
+) -> bool:
+    """Print the plan of a ramp if the source is one; refuse errors for another source."""
+    wanted = {Sensor.GYROSCOPE: gyro_error, Sensor.ACCELEROMETER: accel_error}
+    errors = {sensor: error for sensor, error in wanted.items() if error is not None}
+    if source is not None and is_thermal(Path(source)):
+        _plan_ramp(Path(source), errors, as_json=as_json)
+        return True
+    if errors:
+        misuse("--gyro-error and --accel-error need the folder of 'imucal thermal'; omit them")
+    return False
+
+
+def _plan_ramp(path: Path, errors: Mapping[Sensor, float], *, as_json: bool) -> None:
+    if not errors:
+        misuse(f"{path} is a temperature ramp: add --gyro-error 5deg/h, --accel-error 0.5mg, or both")
+    found = load_thermal(path)
+    needs = plan_ramp(found, errors)
+    if as_json:
+        print_json(
+            {
+                "schema": RAMP_SCHEMA,
+                "axes": [picked(need, "axis error slope lag_s speed_k_per_s duration_s") for need in needs],
+            }
+        )
+        return
+    span = f"{found.low_c:.0f} to {found.high_c:.0f} °C and back"
+    text = "\n".join(
+        [*wrapped(f"Speed of a ramp from {span}, for a curve without a lag"), *_ramp_lines(needs)]
+    )
+    echo(text if can_print(text) else text.replace("°", "deg "))
+
+
+def _ramp_lines(needs: Sequence[RampNeed]) -> Iterator[str]:
+    for need in needs:
+        unit, factor = UNITS[need.sensor]
+        error = f"{need.axis}: {need.error * factor:.3g} {unit}"
+        if need.speed_k_per_s is None or need.duration_s is None:
+            yield from wrapped(f"{error} at any speed: no lag was found")
+            continue
+        yield from wrapped(
+            f"{error} at {60 * need.speed_k_per_s:.2g} K/min or less, {duration_text(need.duration_s)} "
+            f"in all (it follows {need.lag_s:.0f} s later)"
+        )

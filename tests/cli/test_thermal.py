@@ -90,6 +90,26 @@ def test_all_exports_are_written(folder: Path) -> None:
     assert "choose one of px4, ardupilot, c, python, matlab, yaml" in wrong.stderr
 
 
+def test_the_speed_of_a_ramp_is_planned(folder: Path) -> None:
+    """The folder of a ramp and an error; without one, or with another source, it is a usage error."""
+    done = run("plan", "ramp-thermal", "--gyro-error", "5deg/h", "--accel-error=0.5mg", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    title, *lines = done.stdout.splitlines()
+    assert title == "Speed of a ramp from -10 to 60 °C and back, for a curve without a lag"
+    assert lines[0].startswith("gyro_x: 5 deg/h at 0.")
+    document = json.loads(run("plan", "ramp-thermal", "--gyro-error=5deg/h", "--json", cwd=folder).stdout)
+    assert document["schema"] == "imucal/thermal-plan/1"
+    assert len(document["axes"]) == 3
+    for arguments, text in (
+        (("ramp-thermal",), "add --gyro-error 5deg/h, --accel-error 0.5mg, or both"),
+        (("ramp-thermal", "--gyro-error", "5km"), "'5km' is not a positive number with one of the units"),
+        (("N=1e-4", "--rate", "100", "--gyro-error", "5deg/h"), "need the folder of 'imucal thermal'"),
+    ):
+        wrong = run("plan", *arguments, cwd=folder)
+        assert wrong.returncode == 2
+        assert text in " ".join(wrong.stderr.split())
+
+
 def test_a_table_is_corrected(folder: Path) -> None:
     """Only the samples change, by the curve at the temperature of the row; a second time is refused."""
     done = run("apply", "ramp-thermal", "ramp.csv", "-o", "corrected.csv", cwd=folder)
