@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imucal._version import __version__
+from imucal.arrays import FloatArray
 from imucal.recording import Sensor
 from imucal.report import figure as drawing
 from imucal.report.figure_style import (
@@ -23,7 +24,7 @@ from imucal.report.figure_style import (
     write_foot,
     write_head,
 )
-from imucal.temperature.result import AxisThermal, Thermal
+from imucal.temperature.result import AxisThermal, Shown, Thermal
 from imucal.temperature.table import UNITS, headline
 
 if TYPE_CHECKING:
@@ -62,7 +63,8 @@ def picture(found: Thermal, sensor: Sensor) -> bytes:
 
 def sensor_figure(found: Thermal, sensor: Sensor) -> "Figure":
     """Return bias and rest of each axis of a sensor over the temperature."""
-    axes = [one for one in found.axes if one.sensor is sensor]
+    # A result that was read from a file shows nothing.
+    axes = [(one, one.shown) for one in found.axes if one.sensor is sensor and one.shown is not None]
     height = _HEAD + _FOOT + len(axes) * _ROW
     figure = new_figure(_WIDTH, height)
     write_head(
@@ -71,13 +73,13 @@ def sensor_figure(found: Thermal, sensor: Sensor) -> "Figure":
         "left: bias less its mean, and the curve at a steady temperature; right: what compensation leaves",
     )
     write_foot(figure, headline(found), __version__)
-    for place, one in enumerate(axes):
+    for place, (one, shown) in enumerate(axes):
         bottom = (_FOOT + (len(axes) - 1 - place) * _ROW) / height
         share = (_ROW - _BETWEEN) / height
         bias = figure.add_axes((0.09, bottom, 0.39, share))
         left = figure.add_axes((0.58, bottom, 0.39, share))
-        _draw_bias(bias, one)
-        _draw_left(left, one)
+        _draw_bias(bias, one, shown)
+        _draw_left(left, one, shown)
         last = place == len(axes) - 1
         for plot in (bias, left):
             _style(plot, last=last)
@@ -88,12 +90,11 @@ def sensor_figure(found: Thermal, sensor: Sensor) -> "Figure":
     return figure
 
 
-def _draw_bias(plot: "Axes", axis: AxisThermal) -> None:
+def _draw_bias(plot: "Axes", axis: AxisThermal, shown: Shown) -> None:
     unit, factor = UNITS[axis.sensor]
     curve = axis.curve
-    assert axis.shown is not None  # noqa: S101 - only a loaded result has none, and it is not drawn
-    mean = float(axis.shown.bias.mean())
-    _draw_branches(plot, axis, (axis.shown.bias - mean) * factor)
+    mean = float(shown.bias.mean())
+    _draw_branches(plot, shown, (shown.bias - mean) * factor)
     temperature = np.linspace(curve.low_c, curve.high_c, _POINTS)
     middle = (curve.static(temperature) - mean) * factor
     half = curve.half_width(temperature) * factor
@@ -102,24 +103,22 @@ def _draw_bias(plot: "Axes", axis: AxisThermal) -> None:
     plot.set_ylabel(f"{axis.name} ({unit})", **LABEL_STYLE)
 
 
-def _draw_left(plot: "Axes", axis: AxisThermal) -> None:
+def _draw_left(plot: "Axes", axis: AxisThermal, shown: Shown) -> None:
     unit, factor = UNITS[axis.sensor]
-    assert axis.shown is not None  # noqa: S101 - as above
     plot.axhline(0.0, color=FRAME, linewidth=1.0)
-    _draw_branches(plot, axis, axis.shown.left * factor)
+    _draw_branches(plot, shown, shown.left * factor)
     plot.set_ylabel(f"left ({unit})", **LABEL_STYLE)
 
 
-def _draw_branches(plot: "Axes", axis: AxisThermal, values: np.ndarray) -> None:
-    assert axis.shown is not None  # noqa: S101 - as above
-    heats = axis.shown.heats > 0
+def _draw_branches(plot: "Axes", shown: Shown, values: FloatArray) -> None:
+    heats = shown.heats > 0
     dots: Style = {"linestyle": "none", "markersize": 3.2}
     for chosen, color, marker, label in (
         (heats, _HEATING, "^", "heating"),
         (~heats, _COOLING, "v", "cooling"),
     ):
         if chosen.any():
-            places = axis.shown.temperature[chosen]
+            places = shown.temperature[chosen]
             plot.plot(places, values[chosen], color=color, marker=marker, label=label, **dots)
 
 

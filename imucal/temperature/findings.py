@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from imucal.findings import Finding
-from imucal.recording import AXES, Recording, Sensor
+from imucal.recording import AXES, Recording, Sensor, Temperature
 from imucal.temperature.ramp import AxisBlocks, Ramp
 from imucal.temperature.result import AxisThermal
 from imucal.units import duration, pretty
@@ -38,7 +38,8 @@ def ramp_findings(
     yield from _too_fast(ramp, axes)
     yield from _hysteresis(axes)
     yield from _narrow(ramp)
-    yield from _coarse(recording)
+    if recording.temperature is not None:
+        yield from _coarse(recording.temperature)
     yield from _no_effect(recording, axes)
 
 
@@ -113,9 +114,8 @@ def _narrow(ramp: Ramp) -> Iterator[Finding]:
     yield Finding("warning", "thermal-narrow", text, "Record the whole range in which the IMU works.")
 
 
-def _coarse(recording: Recording) -> Iterator[Finding]:
-    assert recording.temperature is not None  # noqa: S101 - for mypy: a Ramp has one
-    known = recording.temperature.samples[np.isfinite(recording.temperature.samples)]
+def _coarse(temperature: Temperature) -> Iterator[Finding]:
+    known = temperature.samples[np.isfinite(temperature.samples)]
     levels = np.unique(known)
     step = float(np.median(np.diff(levels)))
     if step * _STEPS < float(np.ptp(levels)):
