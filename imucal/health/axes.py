@@ -13,6 +13,8 @@ from imucal.screening.faults import signed_axes, wrong_axes
 
 __all__ = ["HOW_TO_TURN", "ORDERS", "Orders", "axes_row", "explaining_orders"]
 
+#: Most orders that are named if turns allow several: two turns often leave one axis open.
+_NAMED = 4
 #: Advice for logs with too few turns.
 HOW_TO_TURN = "Turn the IMU by 60° or more about each of its three axes, with rests of 2 s between"
 
@@ -189,15 +191,27 @@ def axes_row(turning: Turning | None, orders: Orders | None) -> Row:
         found = (
             f"{_turns(parts)} {count} of the 48 orders and signs of the axes, including the one of this log"
         )
+        found += _named(orders, values)
         return question.answer("unknown", found, f"{HOW_TO_TURN}.", values=values)
     evidence = orders_compared(orders.shares, tuple(map(_mapping, ORDERS)))
     if count > 1:
         found = f"{_turns(parts)} {count} of the 48 orders and signs of the axes, and not the one of this log"
+        found += _named(orders, values)
         advice = f"Check the order and the signs of the axes. {HOW_TO_TURN}, to find the right ones."
         return question.answer("fail", found, advice, values=values, evidence=evidence)
     right = ORDERS[orders.best]
     values["mapping"] = _mapping(right)
     return question.answer_by(wrong_axes(right), "fail", values, evidence)
+
+
+def _named(orders: Orders, values: Values) -> str:
+    """Return the possible orders as the end of a sentence, and add them to the values; empty if many."""
+    if orders.count > _NAMED:
+        return ""
+    allowed = [ORDERS[place] for place in np.flatnonzero(orders.possible).tolist()]
+    values["allowed"] = ", ".join(map(_mapping, allowed))
+    texts = " or ".join(", ".join(signed_axes(order)) for order in allowed)
+    return f": the gyroscope's x, y, z are {texts} of the accelerometer"
 
 
 def _turns(parts: int) -> str:

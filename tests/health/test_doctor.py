@@ -6,11 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from imucal.arrays import FloatArray
 from imucal.errors import ChoiceError, Fix
 from imucal.findings import Finding
 from imucal.health import Diagnosis, Row, diagnose
 from imucal.health.axes import ORDERS
 from imucal.recording import Recording, Temperature
+from imucal.screening.faults import signed_axes
 from tests.health.simulated import GRAVITY, Imu, Samples, sampled, swaying, turns_and_rests, walking
 
 #: The rows of each diagnosis, in this order.
@@ -97,6 +99,21 @@ def test_turns_about_one_axis_leave_several_orders() -> None:
     row = row_of(diagnose(sampled(turns_and_rests(rng, turns=1), rng).recording()), "axes")
     assert row.status == "unknown"
     assert float(row.values["possible"] or 0) > 1
+
+
+@pytest.mark.parametrize(("order", "status"), [(ORDERS[0], "unknown"), (ORDERS[7], "fail")])
+def test_two_orders_that_fit_are_both_named(order: FloatArray, status: str) -> None:
+    """Two turns of gravity leave the sign of one axis open; the third turn was about the vertical."""
+    rng = np.random.default_rng([78, 0])
+    samples = sampled(turns_and_rests(rng, turns=3, carried_m=0.0), rng, Imu(rate_hz=100.0))
+    row = row_of(diagnose(samples.mapped(order).recording()), "axes")
+    assert (row.status, row.values["possible"]) == (status, 2.0)
+    names = str(row.values["allowed"]).split(", ")
+    axes = signed_axes(order)
+    assert " ".join(f"{axis}={name}" for axis, name in zip("xyz", axes, strict=True)) in names
+    assert f"the gyroscope's x, y, z are {', '.join(axes)} or " in row.found or (
+        f" or {', '.join(axes)} of the accelerometer" in row.found
+    )
 
 
 @pytest.mark.parametrize("delay_ms", [-20.0, 6.0])
