@@ -23,11 +23,10 @@ from imucal.resources import limit_pools
 if TYPE_CHECKING:
     from imucal.allan import allan_curve
     from imucal.calibration import calibrate
-    from imucal.calibration.applying import apply
     from imucal.calibration.intrinsics_files import load_calibration
     from imucal.comparison import compare
     from imucal.errors import ImucalError
-    from imucal.facade import check, doctor, export, fit, info, sensor, simulate, thermal
+    from imucal.facade import apply, check, doctor, export, fit, info, sensor, simulate, thermal
     from imucal.fitting.decomposition import decompose
     from imucal.fleet.running import run_fleet
     from imucal.fleet.summary import load_fleet
@@ -80,7 +79,7 @@ _HOMES = {
     "Recording": "recording",
     "Report": "report",
     "allan_curve": "allan",
-    "apply": "calibration.applying",
+    "apply": "facade",
     "at_rest": "rests",
     "calibrate": "calibration",
     "check": "facade",

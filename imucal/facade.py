@@ -14,13 +14,15 @@ import numpy as np
 from imucal.allan import AllanCurve
 from imucal.arrays import FloatArray
 from imucal.calibration import Calibration
-from imucal.calibration.document import CalibrationDocument, load_document, to_document
+from imucal.calibration.applying import apply as apply_calibration
+from imucal.calibration.document import CalibrationDocument, Intrinsics, load_document, to_document
 from imucal.calibration.document import from_document as calibration_of
 from imucal.calibration.exports import export_calibration
 from imucal.calibration.writer import is_calibration
 from imucal.checking import CheckResult, Limits, check_config, parse_limits, read_limits
 from imucal.checking import check as check_limits
 from imucal.checking.calibrated import check_calibration
+from imucal.correction.bias_over_time import compensated
 from imucal.errors import ArgumentError, ImucalError
 from imucal.fitting import NoiseFit
 from imucal.fitting import fit as fit_axis
@@ -40,13 +42,14 @@ from imucal.report.result import Report
 from imucal.sensors import Part, find_sensor
 from imucal.temperature import Thermal
 from imucal.temperature import thermal as thermal_of
+from imucal.temperature.exports import export_thermal
 from imucal.units import G0
 from imucal.user_input import seconds_of
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-__all__ = ["check", "doctor", "export", "fit", "info", "sensor", "simulate", "thermal"]
+__all__ = ["apply", "check", "doctor", "export", "fit", "info", "sensor", "simulate", "thermal"]
 
 
 _ONE_AXIS = 'for one axis type imucal.fit(recording["gyro_x"])'
@@ -170,7 +173,7 @@ def _report(report: object) -> Report:
 
 
 def export(
-    report: Report | Calibration | Fleet | str | Path,
+    report: Report | Calibration | Thermal | Fleet | str | Path,
     target: str,
     path: str | Path,
     *,
@@ -189,8 +192,9 @@ def export(
     Parameters
     ----------
     report
-        A report, or the path of a report.json or its folder; a fleet, whose file suits every unit; or a
-        calibration, for formats with bias, scale and misalignment.
+        A report, or the path of a report.json or its folder; a fleet, whose file suits every unit; a
+        calibration, for formats with bias, scale and misalignment; or a temperature ramp, for formats with
+        the bias over temperature.
     target
         The format, such as ``kalibr`` or ``px4``; ``all`` writes all formats of a report into the folder
         `path`.
@@ -230,6 +234,8 @@ def export(
         )
         if isinstance(report, Calibration):
             return (export_calibration(report, target, Path(path), noise, options),)
+        if isinstance(report, Thermal):
+            return (export_thermal(report, target, Path(path)),)
         found = fleet_as_report(report) if isinstance(report, Fleet) else _report(report)
         if not force:
             refuse_unsound(found, place=found.source.path)
@@ -386,6 +392,29 @@ def doctor(recording: Recording | str | Path, *, expect: str | None = None) -> D
     """
     with _refusals():
         return diagnose(read(recording) if isinstance(recording, str | Path) else recording, expect=expect)
+
+
+def apply(calibration: Calibration | Intrinsics | Thermal, recording: Recording) -> Recording:
+    """Return a recording without the errors of the IMU that a calibration or a temperature ramp describes.
+
+    Parameters
+    ----------
+    calibration
+        From `imucal.calibrate` or `imucal.load_calibration`: bias, scale error, misalignment and
+        g-sensitivity, in m/s² and rad/s. From `imucal.thermal`: the bias at the temperature of each sample.
+    recording
+        From `imucal.read`. If it has no gyroscope, or no accelerometer, the other one is corrected.
+
+    Raises
+    ------
+    DataError
+        If the two do not fit: raw counts and SI units, no temperature, a sensor without all axes, or a
+        recording that is already corrected.
+    """
+    with _refusals():
+        if isinstance(calibration, Thermal):
+            return compensated(calibration, recording)
+        return apply_calibration(calibration, recording)
 
 
 def thermal(recording: Recording | str | Path) -> Thermal:

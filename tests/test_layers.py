@@ -67,6 +67,7 @@ BELOW["correction"] = BASE | {"calibration", "readers", "temperature"}
 BELOW["facade"] = BELOW["fleet"] | {
     "calibration",
     "checking",
+    "correction",
     "fleet",
     "health",
     "simulation",

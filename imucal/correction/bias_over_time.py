@@ -1,7 +1,7 @@
 """Correct samples by the temperature: the bias at the temperature of the log, at the time of each sample."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from imucal.arrays import FloatArray, IntArray
 from imucal.calibration.applying import CORRECTED
 from imucal.errors import DataError, Fix
 from imucal.findings import Finding
-from imucal.recording import AXES, RAW_COUNTS, Recording, Sensor
+from imucal.recording import AXES, RAW_COUNTS, AxisSeries, Recording, Sensor
 from imucal.temperature.exports import correction_of
 from imucal.temperature.result import Thermal
 from imucal.temperature.thermometer import Thermometer
@@ -46,7 +46,7 @@ class BiasOverTime:
         for sensor in Sensor:
             triad = found.triad(sensor)
             series = [one for one in recording.series if one.sensor is sensor]
-            if triad is None or len(series) != len(AXES):
+            if triad is None or len(series) != len(AXES) or len({one.n for one in series}) > 1:
                 continue
             curves = [correction_of(axis) for axis in triad]
             columns = [curve.bias(thermometer.samples, thermometer.lagging(curve.lag_s)) for curve in curves]
@@ -124,3 +124,25 @@ def _doubts(found: Thermal, recording: Recording) -> Iterator[Finding]:
             f"{found.high_c:.1f} °C: outside, the bias at its end is used."
         )
         yield Finding("warning", "thermal-range", text, "Record a ramp over the whole range.")
+
+
+def compensated(found: Thermal, recording: Recording) -> Recording:
+    """Return a recording less the bias at the temperature of each sample.
+
+    Raises a DataError if it has no temperature, is in raw counts, or is already corrected.
+    """
+    doubts = refuse_unlike(found, recording, table=False)
+    rows = BiasOverTime.of(found, recording).rows
+
+    def without_bias(series: AxisSeries) -> AxisSeries:
+        if series.sensor not in rows:
+            return series
+        return replace(series, samples=series.samples - rows[series.sensor][:, AXES.index(series.axis)])
+
+    decisions = (*recording.source.decisions, (CORRECTED, f"by {found.source.name}"))
+    return replace(
+        recording,
+        source=replace(recording.source, decisions=decisions),
+        series=tuple(map(without_bias, recording.series)),
+        findings=(*recording.findings, *doubts),
+    )

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
 from imucal.errors import DataError
@@ -11,6 +12,10 @@ from imucal.recording import Temperature
 
 #: Most places of the grid: a first-order lag of a hundredth of the log is then exact to 0.1 %.
 _PLACES = 65536
+#: A temperature is compared with the median of this many neighbours: two in a row may be wrong.
+_NEIGHBOURS = 5
+#: No part heats by this much between two samples, in K.
+_OUTLIER_K = 5.0
 #: Fewer different temperatures are no ramp.
 _FEW = 16
 
@@ -34,6 +39,7 @@ class Thermometer(ReadOnlyArrays):
         """
         clock = temperature.clock
         known = np.isfinite(temperature.samples)
+        known[known] = _plausible(temperature.samples[known])
         if np.unique(temperature.samples[known]).size < _FEW:
             problem = f"the temperature has fewer than {_FEW} different values"
             raise DataError(problem, place=place)
@@ -61,6 +67,12 @@ class Thermometer(ReadOnlyArrays):
         total = np.concatenate([[0.0], np.cumsum(samples - samples[0])])
         integral = np.interp(edges_s / self.step_s, np.arange(total.size), total)
         return np.asarray(samples[0] + np.diff(integral) * self.step_s / np.diff(edges_s))
+
+
+def _plausible(samples: FloatArray) -> BoolArray:
+    """Return which temperatures are no outliers, such as the -127 °C of a failed transfer, shape (n,)."""
+    usual = scipy.ndimage.median_filter(samples, size=_NEIGHBOURS, mode="nearest")
+    return np.asarray(np.abs(samples - usual) < _OUTLIER_K)
 
 
 def turning_points(temperature: FloatArray, least: float) -> IntArray:

@@ -187,6 +187,19 @@ def test_a_document_is_read_back(found: Thermal, tmp_path: Path) -> None:
         load_thermal(tmp_path)
 
 
+def test_a_recording_is_compensated(
+    ramp: tuple[Recording, KnownEffect], found: Thermal, tmp_path: Path
+) -> None:
+    """Noise is left; a second time is refused, and an export of the result is that of the document."""
+    corrected = imucal.apply(found, ramp[0])
+    assert corrected["gyro_z"].samples.std() == pytest.approx(1e-4 * 2**0.5, rel=0.1)
+    assert corrected["accel_z"].samples.mean() == pytest.approx(9.81, abs=0.2)
+    with raises(DataError, "it is already corrected"):
+        imucal.apply(found, corrected)
+    (path,) = imucal.export(found, "yaml", tmp_path / "bias.yaml")
+    assert "gyro_x:" in path.read_text(encoding="utf-8")
+
+
 def test_documents_are_valid_by_the_schema(found: Thermal) -> None:
     """The schema refuses other verdicts."""
     validator = jsonschema.Draft202012Validator(schema())

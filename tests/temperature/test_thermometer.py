@@ -39,6 +39,13 @@ def test_missing_values_are_interpolated() -> None:
     assert np.allclose(thermometer(samples).samples, np.arange(100.0))
 
 
+def test_failed_transfers_are_left_out() -> None:
+    """A thermometer that can't be read says -127 or 85 °C."""
+    samples = 20 + np.arange(200.0) / 20
+    samples[[0, 50, 51, 120]] = [-127.0, 85.0, 85.0, -127.0]
+    assert np.allclose(thermometer(samples).samples[1:], (20 + np.arange(200.0) / 20)[1:])
+
+
 def test_a_long_log_is_averaged() -> None:
     """Many samples become means, so that a noisy thermometer is quieter."""
     rng = np.random.default_rng(72)
