@@ -1,5 +1,6 @@
 """``imucal simulate``: write a log with known noise."""
 
+import math
 from pathlib import Path
 
 import click
@@ -37,10 +38,14 @@ def log_to_write(_: click.Context, __: click.Parameter, path: Path | None) -> Pa
 
 def _ramp(text: str) -> tuple[float, float]:
     """Return the lowest and the highest temperature of ``LOW:HIGH``, in degrees Celsius."""
-    low, colon, high = text.partition(":")
-    if not colon:
+    low, _, high = text.partition(":")
+    try:
+        ends = float(low), float(high)
+    except ValueError:
+        ends = math.nan, math.nan
+    if not all(map(math.isfinite, ends)):
         raise ValueError(f"{text!r} is not LOW:HIGH in degrees Celsius, such as -10:60")
-    return float(low), float(high)
+    return ends
 
 
 _EPILOG = unwrapped(r"""

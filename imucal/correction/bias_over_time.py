@@ -36,11 +36,8 @@ class BiasOverTime:
     def of(cls, found: Thermal, recording: Recording) -> "BiasOverTime":
         """Return the bias of a log; raise a DataError if it has no temperature."""
         place = recording.source.path
-        if recording.temperature is None:
-            fix = Fix("name its column, such as temp=8 in --columns, or log sensor_msgs/Temperature")
-            raise DataError("the log has no temperature", place=place, fix=fix)
-        thermometer = Thermometer.of(recording.temperature, place=place)
-        times = (np.arange(thermometer.samples.size) + 0.5) * thermometer.step_s
+        thermometer = Thermometer.of(recording)
+        times = thermometer.times_s
         bias: dict[Sensor, FloatArray] = {}
         rows: dict[Sensor, FloatArray] = {}
         for sensor in Sensor:
@@ -51,15 +48,12 @@ class BiasOverTime:
             curves = [correction_of(axis) for axis in triad]
             columns = [curve.bias(thermometer.samples, thermometer.lagging(curve.lag_s)) for curve in curves]
             bias[sensor] = np.column_stack(columns)
-            clock = series[0].clock
-            seconds = clock.grid() * clock.tau0
-            if clock.start_ns is not None and thermometer.start_ns is not None:
-                seconds = seconds + (clock.start_ns - thermometer.start_ns) / 1e9
+            seconds = thermometer.seconds_of(series[0].clock)
             rows[sensor] = np.column_stack([np.interp(seconds, times, column) for column in columns])
         if not bias:
             problem = "the log and the ramp have no sensor with three axes in common"
             raise DataError(problem, place=place)
-        return cls(times_s=np.asarray(times, np.float64), start_ns=thermometer.start_ns, bias=bias, rows=rows)
+        return cls(times_s=times, start_ns=thermometer.start_ns, bias=bias, rows=rows)
 
     def samples(self, raw: Mapping[Sensor, FloatArray], times_ns: IntArray) -> dict[Sensor, FloatArray]:
         """Return the corrected samples of each sensor, shape (n, 3), taken at `times_ns`, shape (n,)."""

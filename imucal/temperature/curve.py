@@ -1,7 +1,7 @@
 """Curve: the bias of an axis as a function of the temperature, and of the temperature before."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -23,7 +23,7 @@ class Curve(ReadOnlyArrays):
     T is the temperature in degrees Celsius and L that behind a first-order lag of `lag_s`. x is T, or L if
     the kind is ``lagged``, limited to the range from `low_c` to `high_c`. `coefficients`, shape (order + 1,),
     are in U/K^k, and the gradient in U/K. `covariance`, shape (c, c), c >= order, is that of the coefficients
-    from k = 1 on; higher ones than the order may be uncertain, too.
+    from k = 1 on; higher ones than the order may be uncertain, too. Files do not contain it.
     """
 
     kind: Kind
@@ -31,7 +31,7 @@ class Curve(ReadOnlyArrays):
     low_c: float
     high_c: float
     coefficients: FloatArray
-    covariance: FloatArray
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)), compare=False)
     lag_s: float = 0.0
     gradient: float = 0.0
 

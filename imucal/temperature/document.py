@@ -11,9 +11,8 @@ import numpy as np
 from imucal.arrays import FloatArray
 from imucal.errors import Fix, ReadError
 from imucal.findings import Finding
-from imucal.recording import Axis, Sensor, Source
+from imucal.recording import Source
 from imucal.report.typed_json import JsonObject, Key, Place, from_json, to_json
-from imucal.temperature.curve import Curve, Kind
 from imucal.temperature.result import AxisThermal, Branch, Thermal, ThermalVerdict
 
 __all__ = ["FILE_NAME", "SCHEMA", "ThermalDocument", "from_document", "load_thermal", "schema", "to_document"]
@@ -29,99 +28,24 @@ _POINTS = 21
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class CurveEntry:
-    """A curve, and its values at some temperatures with the half-width of their 95 % intervals."""
+class CurvePoints:
+    """The curve of an axis at some steady temperatures, with the half-width of its 95 % intervals."""
 
-    kind: Kind
-    reference_c: float
-    low_c: float
-    high_c: float
-    coefficients: FloatArray
-    lag_s: float
-    gradient: float
+    axis: str
+    unit: str
     temperature: FloatArray
     bias: FloatArray
     half_width: FloatArray
 
     @classmethod
-    def of(cls, curve: Curve) -> "CurveEntry":
-        temperature = np.linspace(curve.low_c, curve.high_c, _POINTS)
+    def of(cls, axis: AxisThermal) -> "CurvePoints":
+        temperature = np.linspace(axis.curve.low_c, axis.curve.high_c, _POINTS)
         return cls(
-            kind=curve.kind,
-            reference_c=curve.reference_c,
-            low_c=curve.low_c,
-            high_c=curve.high_c,
-            coefficients=curve.coefficients,
-            lag_s=curve.lag_s,
-            gradient=curve.gradient,
-            temperature=temperature,
-            bias=curve.static(temperature),
-            half_width=curve.half_width(temperature),
-        )
-
-    @property
-    def curve(self) -> Curve:
-        """The curve; the file does not contain its covariance."""
-        return Curve(
-            kind=self.kind,
-            reference_c=self.reference_c,
-            low_c=self.low_c,
-            high_c=self.high_c,
-            coefficients=self.coefficients,
-            covariance=np.zeros((0, 0)),
-            lag_s=self.lag_s,
-            gradient=self.gradient,
-        )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class AxisEntry:
-    """One axis, as `AxisThermal` explains it."""
-
-    sensor: Sensor
-    axis: Axis
-    unit: str
-    curve: CurveEntry
-    cubic: CurveEntry
-    noise: float
-    before: float
-    left: float
-    held_out: float | None
-    cubic_held_out: float | None
-    hysteresis: float | None
-    hysteresis_left: float | None
-
-    @classmethod
-    def of(cls, axis: AxisThermal) -> "AxisEntry":
-        return cls(
-            sensor=axis.sensor,
-            axis=axis.axis,
+            axis=axis.name,
             unit=axis.sensor.unit,
-            curve=CurveEntry.of(axis.curve),
-            cubic=CurveEntry.of(axis.cubic),
-            noise=axis.noise,
-            before=axis.before,
-            left=axis.left,
-            held_out=axis.held_out,
-            cubic_held_out=axis.cubic_held_out,
-            hysteresis=axis.hysteresis,
-            hysteresis_left=axis.hysteresis_left,
-        )
-
-    @property
-    def thermal(self) -> AxisThermal:
-        return AxisThermal(
-            sensor=self.sensor,
-            axis=self.axis,
-            curve=self.curve.curve,
-            cubic=self.cubic.curve,
-            noise=self.noise,
-            before=self.before,
-            left=self.left,
-            held_out=self.held_out,
-            cubic_held_out=self.cubic_held_out,
-            hysteresis=self.hysteresis,
-            hysteresis_left=self.hysteresis_left,
+            temperature=temperature,
+            bias=axis.curve.static(temperature),
+            half_width=axis.curve.half_width(temperature),
         )
 
 
@@ -136,7 +60,8 @@ class ThermalDocument:
     high_c: float
     fastest_k_per_s: float
     branches: tuple[Branch, ...]
-    axes: tuple[AxisEntry, ...]
+    axes: tuple[AxisThermal, ...]
+    points: tuple[CurvePoints, ...]
     findings: tuple[Finding, ...]
 
 
@@ -151,7 +76,8 @@ def to_document(found: Thermal) -> JsonObject:
             high_c=found.high_c,
             fastest_k_per_s=found.fastest_k_per_s,
             branches=found.branches,
-            axes=tuple(map(AxisEntry.of, found.axes)),
+            axes=found.axes,
+            points=tuple(map(CurvePoints.of, found.axes)),
             findings=found.findings,
         )
     )
@@ -169,7 +95,7 @@ def from_document(document: object, *, file: str = "thermal") -> Thermal:
         high_c=found.high_c,
         fastest_k_per_s=found.fastest_k_per_s,
         branches=found.branches,
-        axes=tuple(axis.thermal for axis in found.axes),
+        axes=found.axes,
         findings=found.findings,
     )
 

@@ -44,10 +44,7 @@ class Ramp:
     def of(cls, recording: Recording) -> "Ramp":
         """Return the ramp of a recording, or raise a DataError if it has no ramp of the temperature."""
         place = recording.source.path
-        if recording.temperature is None:
-            fix = Fix("name its column, such as temp=8 in --columns; a table needs a column 'temperature'")
-            raise DataError("the log has no temperature", place=place, fixes=[fix])
-        thermometer = Thermometer.of(recording.temperature, place=place)
+        thermometer = Thermometer.of(recording)
         fewest = min(series.n for series in recording.series)
         blocks = min(_BLOCKS, fewest // _SAMPLES)
         if blocks < _MIN_BLOCKS:
@@ -118,10 +115,7 @@ class AxisBlocks:
         """Return the blocks of an axis; raise a DataError if there are too few."""
         finite = series.finite()
         cleaned = finite.keeping(_plain(finite.samples))
-        seconds = cleaned.clock.grid() * cleaned.tau0
-        start_ns = ramp.thermometer.start_ns
-        if cleaned.clock.start_ns is not None and start_ns is not None:
-            seconds = seconds + (cleaned.clock.start_ns - start_ns) / 1e9
+        seconds = ramp.thermometer.seconds_of(cleaned.clock)
         block = np.searchsorted(ramp.edges_s, seconds, side="right") - 1
         inside = (block >= 0) & (block < ramp.blocks)
         block, samples = block[inside], cleaned.samples[inside]

@@ -6,9 +6,10 @@ import numpy as np
 import scipy
 
 from imucal.arrays import BoolArray, FloatArray, IntArray, ReadOnlyArrays
-from imucal.errors import DataError
+from imucal.clock import Clock
+from imucal.errors import DataError, Fix
 from imucal.fitting.regressors import lagged
-from imucal.recording import Temperature
+from imucal.recording import Recording
 
 #: Most places of the grid: a first-order lag of a hundredth of the log is then exact to 0.1 %.
 _PLACES = 65536
@@ -16,6 +17,10 @@ _PLACES = 65536
 _NEIGHBOURS = 5
 #: No part heats by this much between two samples, in K.
 _OUTLIER_K = 5.0
+#: Where PX4 logs it, and not in sensor_combined.
+_IN_PX4 = "read the topics that contain it: --topic sensor_gyro --topic sensor_accel"
+#: Where other logs have it.
+_IN_OTHERS = "name its column, such as temp=8 in --columns, or log a topic of sensor_msgs/Temperature"
 #: Fewer different temperatures are no ramp.
 _FEW = 16
 
@@ -24,19 +29,26 @@ _FEW = 16
 class Thermometer(ReadOnlyArrays):
     """The temperature in degrees Celsius, shape (n,), every `step_s` seconds.
 
-    `start_ns` is the time stamp of the first, or None without stamps.
+    `start_ns` is the time stamp of the first temperature of the log, or None without stamps, and `period_s`
+    the time between two of them. A place is the mean of one or more of them.
     """
 
     samples: FloatArray
     step_s: float
+    period_s: float
     start_ns: int | None
 
     @classmethod
-    def of(cls, temperature: Temperature, *, place: str) -> "Thermometer":
+    def of(cls, recording: Recording) -> "Thermometer":
         """Return the thermometer of a log; missing values are interpolated.
 
-        A DataError with the `place` is raised if hardly any value is known.
+        A DataError is raised if the log has no temperature, or hardly any value.
         """
+        place = recording.source.path
+        temperature = recording.temperature
+        if temperature is None:
+            how = _IN_PX4 if recording.source.format == "ulog" else _IN_OTHERS
+            raise DataError("the log has no temperature", place=place, fix=Fix(how))
         clock = temperature.clock
         known = np.isfinite(temperature.samples)
         known[known] = _plausible(temperature.samples[known])
@@ -52,11 +64,23 @@ class Thermometer(ReadOnlyArrays):
         total = np.bincount(nearest, weights=temperature.samples[known], minlength=places)
         filled = np.flatnonzero(count)
         even = np.interp(np.arange(places), filled, total[filled] / count[filled])
-        return cls(samples=even, step_s=step_s, start_ns=clock.start_ns)
+        return cls(samples=even, step_s=step_s, period_s=clock.tau0, start_ns=clock.start_ns)
 
     @property
     def duration_s(self) -> float:
         return self.samples.size * self.step_s
+
+    @property
+    def times_s(self) -> FloatArray:
+        """The mean time of the temperatures of each place, shape (n,), in s from the first."""
+        return np.asarray((np.arange(self.samples.size) + 0.5) * self.step_s - 0.5 * self.period_s)
+
+    def seconds_of(self, clock: Clock) -> FloatArray:
+        """Return the times of the samples of a clock, shape (m,), in s from the first temperature."""
+        seconds = clock.grid() * clock.tau0
+        if clock.start_ns is None or self.start_ns is None:
+            return np.asarray(seconds)
+        return np.asarray(seconds + (clock.start_ns - self.start_ns) / 1e9)
 
     def lagging(self, lag_s: float) -> FloatArray:
         """Return the temperature behind a first-order lag, in s, shape (n,); at the start both are equal."""

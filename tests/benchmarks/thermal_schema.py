@@ -12,7 +12,8 @@ import imucal
 from imucal.findings import Finding
 from imucal.recording import Source
 from imucal.temperature import document
-from imucal.temperature.result import Branch
+from imucal.temperature.curve import Curve
+from imucal.temperature.result import AxisThermal, Branch
 from tests.benchmarks.json_schema import Schema, SchemaWriter
 
 __all__ = ["SCHEMA_FILE", "thermal_schema"]
@@ -21,8 +22,9 @@ SCHEMA_FILE = Path(imucal.__file__).parent / "temperature" / "schema" / "thermal
 
 _WRITER = SchemaWriter.of(
     {
-        "axis": document.AxisEntry,
-        "curve": document.CurveEntry,
+        "axis": AxisThermal,
+        "curve": Curve,
+        "points": document.CurvePoints,
         "branch": Branch,
         "finding": Finding,
         "source": Source,

@@ -50,12 +50,12 @@ def test_json_has_the_true_effect(folder: Path) -> None:
     document = json.loads(done.stdout)
     assert document["schema"] == "imucal/thermal/1"
     lags = []
-    for number, axis in enumerate(document["axes"]):
+    for number, (axis, points) in enumerate(zip(document["axes"], document["points"], strict=True)):
         own = truth[axis["sensor"]][number % 3]
         curve = axis["curve"]
-        u = (np.array(curve["temperature"]) - truth["middle_c"]) / truth["half_k"]
+        u = (np.array(points["temperature"]) - truth["middle_c"]) / truth["half_k"]
         true = u * own[0] + u**2 * own[1] + u**3 * own[2]
-        found = np.array(curve["bias"])
+        found = np.array(points["bias"])
         off = (found - found.mean()) - (true - true.mean())
         assert np.abs(off).max() < 3 * axis["held_out"]
         # A gradient explains the same lag in another way.
@@ -88,6 +88,18 @@ def test_all_exports_are_written(folder: Path) -> None:
     wrong = run("export", "ramp-thermal", "--to", "kalibr", cwd=folder)
     assert wrong.returncode == 2
     assert "choose one of px4, ardupilot, c, python, matlab, yaml" in wrong.stderr
+
+
+def test_a_column_with_another_name_is_named(folder: Path) -> None:
+    """The error says how, and the columns that it suggests work."""
+    text = (folder / "ramp.csv").read_text(encoding="utf-8").replace("temperature [degC]", "heat", 1)
+    (folder / "heat.csv").write_text(text, encoding="utf-8")
+    done = run("thermal", "heat.csv", "--no-files", cwd=folder)
+    assert done.returncode == 4
+    assert "such as temp=8 in --columns" in " ".join(done.stderr.split())
+    columns = "t=0,g=1:4,a=4:7,temp=7"
+    done = run("thermal", "heat.csv", "--no-files", "--columns", columns, "--time-unit", "ns", cwd=folder)
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_speed_of_a_ramp_is_planned(folder: Path) -> None:
@@ -175,6 +187,8 @@ def test_a_warmer_log_is_named(folder: Path) -> None:
     [
         (("--temperature=60:-10",), "does not heat"),
         (("--temperature=warm",), "'warm' is not LOW:HIGH in degrees Celsius, such as -10:60"),
+        (("--temperature=0:hot",), "'0:hot' is not LOW:HIGH in degrees Celsius, such as -10:60"),
+        (("--temperature=0:inf",), "'0:inf' is not LOW:HIGH in degrees Celsius, such as -10:60"),
         (("--temperature=0:50", "--rests", "8"), "--temperature excludes --gap and --rests"),
         (("--temperature=0:50", "-o", "x.mcap"), "x.mcap has no place for a temperature"),
     ],

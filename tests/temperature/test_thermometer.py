@@ -3,16 +3,19 @@
 import numpy as np
 import pytest
 
+import imucal
 from imucal.clock import Clock
 from imucal.errors import DataError
-from imucal.recording import Temperature
+from imucal.recording import Recording, Source, Temperature
 from imucal.temperature.thermometer import Thermometer, branches_of, turning_points
 from tests.raising import raises
+from tests.real_data import real_data
 
 
 def thermometer(samples: list[float] | np.ndarray, rate_hz: float = 1.0) -> Thermometer:
     values = np.asarray(samples, np.float64)
-    return Thermometer.of(Temperature(samples=values, clock=Clock.even(values.size, rate_hz)), place="log")
+    heat = Temperature(samples=values, clock=Clock.even(values.size, rate_hz))
+    return Thermometer.of(Recording(source=Source(path="log", format="csv"), series=(), temperature=heat))
 
 
 def test_a_lag_of_a_steady_ramp_is_a_delay() -> None:
@@ -53,6 +56,23 @@ def test_a_long_log_is_averaged() -> None:
     assert found.samples.size == 65536
     assert found.samples.std() == pytest.approx(0.5, rel=0.05)
     assert found.duration_s == pytest.approx(65536 * 4 / 100)
+
+
+def test_each_place_has_the_mean_time_of_its_samples() -> None:
+    """A correction interpolates between them, so a line of the time stays a line."""
+    for count in (1000, 65536 * 3):
+        found = thermometer(np.arange(float(count)), rate_hz=4.0)
+        assert np.allclose(found.times_s, found.samples / 4)
+    clock = Clock.even(8, 2.0)
+    assert found.seconds_of(clock).tolist() == [place / 2 for place in range(8)]
+
+
+def test_the_topics_of_a_px4_log_are_named() -> None:
+    """Its usual topic has no temperature; the ones that the error names can be read."""
+    log = real_data("formats", "pyulog_sample_px4_events.ulg")
+    with raises(DataError, "--topic sensor_gyro --topic sensor_accel"):
+        Thermometer.of(imucal.read(log))
+    assert len(imucal.read(log, topic=["sensor_gyro", "sensor_accel"]).series) == 6
 
 
 def test_a_constant_temperature_is_refused() -> None:
