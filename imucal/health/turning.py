@@ -107,10 +107,13 @@ class Turning(ReadOnlyArrays):
         """Return the sum of squares that a design leaves, for f turned by some matrices, shape (b, k)."""
         b, n, _ = forces.shape
         weighted = forces * np.sqrt(self.weights)[..., None]
-        # w = Q w' gives Qᵀ f = R[w'] Qᵀ g₀.
-        y = np.einsum("bnj,kji->bnik", weighted, turned).reshape(b, 3 * n, len(turned))
-        projected = design[:, : 3 * n].transpose(0, 2, 1) @ y
-        return np.asarray((y**2).sum(axis=1) - (projected**2).sum(axis=1))
+        # w = Q w' gives Qᵀ f = R[w'] Qᵀ g₀. The sums over samples are the same for all Q.
+        squares = weighted.transpose(0, 2, 1) @ weighted
+        total = np.einsum("kji,bjl,kli->bk", turned, squares, turned, optimize=True)
+        basis = design[:, : 3 * n].reshape(b, n, -1).transpose(0, 2, 1)
+        projections = (basis @ weighted).reshape(b, 3, -1, 3)
+        projected = np.einsum("bicj,kji->bck", projections, turned, optimize=True)
+        return np.asarray(total - (projected**2).sum(axis=1))
 
     def shifted(self, seconds: float) -> FloatArray:
         """Return the forces this much later, shape (b, n, 3)."""

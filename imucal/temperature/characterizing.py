@@ -57,7 +57,7 @@ def _axis(ramp: Ramp, lags: Lags, axis: AxisBlocks) -> AxisThermal:
         before=_rms(axis.means - axis.means.mean(), axis),
         left=_rms(fit.rest, axis),
         held_out=fit.held_out,
-        cubic_held_out=held_out(ramp, lags, axis, "present", _CUBIC) if both else None,
+        cubic_held_out=float(held_out(ramp, lags, axis, "present")[_CUBIC]) if both else None,
         hysteresis=_hysteresis(ramp, axis, cubic_rest),
         hysteresis_left=_hysteresis(ramp, axis, fit.rest),
         shown=blocks_shown(ramp, axis, fit.rest),

@@ -73,7 +73,7 @@ class Design:
 
     def columns(self, order: int) -> FloatArray:
         """Return the regressors, shape (m, r): 1, the gradient, powers of (x - middle) / half."""
-        powers = ((self.followed - self.middle) / self.half)[:, None] ** np.arange(1, order + 1)
+        powers = np.vander((self.followed - self.middle) / self.half, order + 1, increasing=True)[:, 1:]
         extra = [self.difference] if self.kind == "gradient" else []
         return np.column_stack([np.ones(self.followed.size), *extra, powers])
 
@@ -127,20 +127,21 @@ def fit_axis(ramp: Ramp, lags: Lags, axis: AxisBlocks, kinds: Iterable[Kind] = K
     if ramp.heats.size < 2:
         return _shown_order(_present(ramp, axis), axis, noise)
     errors = {
-        (kind, order): held_out(ramp, lags, axis, kind, order)
+        (kind, order): error
         for kind in kinds
-        for order in range(MAX_ORDER + 1)
+        for order, error in enumerate(held_out(ramp, lags, axis, kind).tolist())
     }
     best = [_lowest_order(errors, kind) for kind in kinds]
     chosen = min(best, key=lambda one: errors[one] * (1.0 if one[0] == "present" else _CLEARLY))
+    designs = {kind: _designs(ramp, lags, axis, kind) for kind in kinds}
 
     def designed(choice: tuple[Kind, int]) -> tuple[Design, int]:
         kind, order = choice
-        return _closest(ramp, lags, axis, kind, order), order
+        return designs[kind][order], order
 
     found = _fit(*designed(chosen), axis, noise, errors[chosen])
     near = [choice for choice, error in errors.items() if error <= _NEAR * errors[chosen]]
-    others = [_solution(*designed(choice), axis) for choice in near]
+    others = [_coefficients(*designed(choice), axis) for choice in near]
     return replace(found, curve=found.curve.with_spread(others))
 
 
@@ -182,40 +183,49 @@ def _behind(ramp: Ramp, axis: AxisBlocks, kind: Kind, lag_s: float, lagging: Flo
     )
 
 
-def _closest(ramp: Ramp, lags: Lags, axis: AxisBlocks, kind: Kind, order: int) -> Design:
-    """Return the design with the lag that explains the largest sum of squares."""
+def _designs(ramp: Ramp, lags: Lags, axis: AxisBlocks, kind: Kind) -> list[Design]:
+    """Return the design of each order, 0 to `MAX_ORDER`, with the lag that explains the largest sum of squares."""
     if kind == "present":
-        return _present(ramp, axis)
-    designs = [
+        return [_present(ramp, axis)] * (MAX_ORDER + 1)
+    tried = [
         _behind(ramp, axis, kind, lag_s, lagging)
         for lag_s, lagging in zip(lags.seconds.tolist(), lags.temperature, strict=True)
     ]
-    explained = np.array(
-        [np.sum((np.linalg.qr(design.columns(order))[0].T @ axis.means) ** 2) for design in designs]
-    )
+    # The columns of an order are the first ones of a higher order, so one basis serves all orders.
+    bases = np.linalg.qr(np.array([design.columns(MAX_ORDER) for design in tried]))[0]
+    explained = np.cumsum((axis.means @ bases) ** 2, axis=1)[:, tried[0].first - 1 :]
+    return [_refined(ramp, lags, axis, tried, squares) for squares in explained.T]
+
+
+def _refined(ramp: Ramp, lags: Lags, axis: AxisBlocks, tried: list[Design], explained: FloatArray) -> Design:
+    """Return the design of the lag between those of `tried` that explains most, shape (l,)."""
     best = int(np.argmax(explained))
-    if not 0 < best < len(designs) - 1:
-        return designs[best]
+    if not 0 < best < len(tried) - 1:
+        return tried[best]
     # The top of a parabola through the best lag and its neighbours, in log of the lag.
     before, top, after = explained[best - 1 : best + 2].tolist()
     bend = before - 2 * top + after
     shift = 0.5 * (before - after) / bend if bend < 0 else 0.0
     ratio = lags.seconds[best + 1] / lags.seconds[best]
     lag_s = float(lags.seconds[best] * ratio**shift)
-    return _behind(ramp, axis, kind, lag_s, ramp.lagging(lag_s))
+    return _behind(ramp, axis, tried[best].kind, lag_s, ramp.lagging(lag_s))
 
 
-def held_out(ramp: Ramp, lags: Lags, axis: AxisBlocks, kind: Kind, order: int) -> float:
-    """Return the rms error, in U and without white noise, in parts that a curve was not fitted to."""
-    squares = 0.0
+def held_out(ramp: Ramp, lags: Lags, axis: AxisBlocks, kind: Kind) -> FloatArray:
+    """Return the rms error of each order, 0 to `MAX_ORDER`, in parts that the curve was not fitted to.
+
+    It is in U and without white noise.
+    """
+    squares = np.zeros(MAX_ORDER + 1)
     for fold in _folds(ramp, axis):
         seen, tested = axis.take(~fold), axis.take(fold)
-        design = _closest(ramp, lags, seen, kind, order)
-        solution = np.asarray(np.linalg.lstsq(design.columns(order), seen.means)[0], np.float64)
-        curve = design.curve(solution, np.zeros((solution.size, solution.size)))
-        rest = tested.means - curve_on(curve, ramp, tested.places)
-        squares += float(np.sum(rest**2 - axis.white_variance / tested.counts))
-    return float(np.sqrt(max(squares / axis.means.size, axis.white_variance / axis.counts.sum())))
+        white = axis.white_variance / tested.counts
+        for order, design in enumerate(_designs(ramp, lags, seen, kind)):
+            curve = design.curve(*_least_squares(design, order, seen))
+            rest = tested.means - curve_on(curve, ramp, tested.places)
+            squares[order] += float(np.sum(rest**2 - white))
+    least = axis.white_variance / axis.counts.sum()
+    return np.sqrt(np.maximum(squares / axis.means.size, least))
 
 
 def curve_on(curve: Curve, ramp: Ramp, places: IntArray) -> FloatArray:
@@ -245,10 +255,15 @@ def _shown_order(design: Design, axis: AxisBlocks, noise: BlockNoise) -> Fit:
     return _fit(design, 0, axis, noise, None)
 
 
-def _solution(design: Design, order: int, axis: AxisBlocks) -> FloatArray:
+def _coefficients(design: Design, order: int, axis: AxisBlocks) -> FloatArray:
     """Return the coefficients of a curve of least squares, shape (order + 1,), in U/K^k."""
+    return design.curve(*_least_squares(design, order, axis)).coefficients
+
+
+def _least_squares(design: Design, order: int, axis: AxisBlocks) -> tuple[FloatArray, FloatArray]:
+    """Return the coefficients of the columns, shape (r,), and a covariance of zeros."""
     solution = np.asarray(np.linalg.lstsq(design.columns(order), axis.means)[0], np.float64)
-    return design.curve(solution, np.zeros((solution.size, solution.size))).coefficients
+    return solution, np.zeros((solution.size, solution.size))
 
 
 def _fit(design: Design, order: int, axis: AxisBlocks, noise: BlockNoise, error: float | None) -> Fit:

@@ -62,6 +62,7 @@ class BlockNoise:
         # In units in which each term alone explains the mean square of the rest.
         sizes = np.einsum("ijj->i", parts) / rest.size
         parts /= sizes[:, None, None]
+        flat = parts.reshape(len(parts), -1)
         rest = rest / np.sqrt(scale)
 
         def cost(logs: FloatArray) -> tuple[float, FloatArray]:
@@ -74,8 +75,8 @@ class BlockNoise:
             inverse = scipy.linalg.cho_solve(factor, np.eye(rest.size))
             white = inverse @ rest
             value = float(np.log(np.diag(factor[0])).sum() + 0.5 * rest @ white)
-            traces = np.einsum("jk,ikj->i", inverse, parts)
-            quadratic = np.einsum("j,ijk,k->i", white, parts, white)
+            traces = flat @ inverse.ravel()
+            quadratic = parts @ white @ white
             return value, 0.5 * variances * (traces - quadratic)
 
         found = scipy.optimize.minimize(

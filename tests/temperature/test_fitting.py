@@ -124,7 +124,7 @@ def test_it_is_hardly_worse_than_a_cubic_and_often_better() -> None:
     for shape in SHAPES:
         known = known_ramp(shape, rng, noise="N=1e-4 + K=1e-7")
         ramp, axis, fit = fitted(known)
-        cubic = held_out(ramp, Lags.of(ramp), axis, "present", 3)
+        cubic = held_out(ramp, Lags.of(ramp), axis, "present")[3]
         assert fit.held_out is not None
         assert fit.held_out < 1.05 * cubic
         if shape in {"line behind 60 s", "gradient of 200 s", "gradient of 60 s"}:
