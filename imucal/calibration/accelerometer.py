@@ -44,6 +44,8 @@ _STEPS = 30
 _SMALL_STEP = 1e-7
 #: Most halvings of a step of Gauss-Newton.
 _HALVINGS = 20
+#: Share of the misfit by which rounding changes it: |f| - g loses digits.
+_ROUNDING = 1e-9
 #: Standard deviation of a misalignment before any rest, in rad: 0.5 to 1° is usual in a consumer IMU.
 MISALIGNMENT = 0.015
 #: Standard deviation of a scale error before any rest: datasheets of consumer IMUs give 1 to 3 %.
@@ -277,7 +279,7 @@ def _gauss_newton(
             after = solve_triangular(L, np.linalg.norm(moved, axis=1) - gravity[0], lower=True)
             positive = np.all(np.diag(following) > 0)
             from_prior = _prior(following, b + change[6:], with_prior, si=si)[0]
-            if positive and after @ after + from_prior @ from_prior <= misfit:
+            if positive and after @ after + from_prior @ from_prior <= (1 + _ROUNDING) * misfit:
                 break
             change /= 2
         else:

@@ -42,6 +42,8 @@ TRUSTED = 0.2
 _CELLS = 10
 #: Ends of the grid, in deviations of the base.
 _GRID_ENDS = (0.05, 60.0)
+#: Halvings of an interval of at least 16 deviations: the limits are exact to 1e-11 of it.
+_BISECTIONS = 40
 #: Rounds of estimating the excess and fitting again.
 _ROUNDS = 2
 _WALK = NoiseModel(terms=(TERMS["K"].of(1.0),))
@@ -77,7 +79,7 @@ class Mixture(ReadOnlyArrays):
         targets = np.array([[(1 - level) / 2], [(1 + level) / 2]])
         reach = (np.abs(centres) + 8 * deviations).max(axis=0)
         low, high = np.tile(-reach, (2, 1)), np.tile(reach, (2, 1))
-        for _ in range(60):
+        for _ in range(_BISECTIONS):
             middle = (low + high) / 2
             share = np.einsum(
                 "k,kcq->cq", self.weights, ndtr((middle - centres[:, None]) / deviations[:, None])

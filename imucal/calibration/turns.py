@@ -7,7 +7,6 @@ noise, the two bias estimates, and the error of both directions.
 
 import math
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -334,24 +333,27 @@ def _whitened(
 def _covariance(
     data: TurnData, carried: _Carried, noise: GyroNoise, directions: FloatArray, C: FloatArray
 ) -> FloatArray:
-    t, m = len(data.rests), len(data.up)
-    spans, rows = [], []
-    for k, (first, end) in enumerate(data.spans):
-        edges = np.unique(np.linspace(0, end - first, _BLOCKS + 1).astype(int))
-        for low, high in pairwise(edges):
-            to_end = carried.to_end[k, low:high] * data.tau0
-            both = np.stack([to_end.sum(axis=0), np.tensordot(data.share[k, low:high], to_end, axes=1)])
-            spans.append((first + low, first + high))
-            rows.append((k, carried.lever[carried.turn == k] @ both @ C))
-    A = np.zeros((len(carried.turn), len(spans) + m, 3))
-    for i, (k, (own, later)) in enumerate(rows):
-        here, rest = carried.turn == k, len(spans) + data.rests[k]
-        A[here, i] += own
-        A[here, rest] -= own - later
-        A[here, rest + 1] -= later
-    where = np.vstack([np.array(spans), noise.rest_spans])
-    S = np.zeros((len(carried.turn), len(carried.turn)))
-    S[np.arange(2 * t, len(S)), np.arange(2 * t, len(S))] = data.known_deviation**2
+    t, m, r = len(data.rests), len(data.up), len(carried.turn)
+    # The blocks of all turns; those of turns with few samples may be empty.
+    edges = (np.diff(data.spans) * np.linspace(0, 1, _BLOCKS + 1)).astype(np.int64)
+    block = np.diff(edges) > 0
+    spans = data.spans[:, :1, None] + np.stack([edges[:, :-1], edges[:, 1:]], axis=2)
+    spans = spans[block]
+    to_end = carried.to_end * data.tau0
+    own = _sums(to_end, edges)[carried.turn]
+    later = _sums(data.share[..., None, None] * to_end, edges)[carried.turn]
+    lever = carried.lever[:, None, None]
+    by_own, by_later = ((lever @ sums)[:, :, 0] @ C for sums in (own, later))
+    A = np.zeros((r, len(spans) + m, 3))
+    residual, which = np.nonzero(block[carried.turn])
+    column = np.cumsum(block).reshape(block.shape) - 1
+    A[residual, column[carried.turn[residual], which]] = by_own[residual, which]
+    rest = len(spans) + data.rests[carried.turn]
+    A[np.arange(r), rest] = (by_later - by_own).sum(axis=1)
+    A[np.arange(r), rest + 1] = -by_later.sum(axis=1)
+    where = np.vstack([spans, noise.rest_spans])
+    S = np.zeros((r, r))
+    S[np.arange(2 * t, r), np.arange(2 * t, r)] = data.known_deviation**2
     extra = np.concatenate([np.zeros(len(spans)), np.ones(m)])
     known: dict[NoiseModel, FloatArray] = {}
     for axis, model in enumerate(noise.models):
@@ -363,6 +365,13 @@ def _covariance(
         S += noise.horizontal**2 * _by_earth(data, carried, noise.headings)
     D = _by_directions(data, carried)
     return S + D @ directions @ D.T
+
+
+def _sums(values: FloatArray, edges: IntArray) -> FloatArray:
+    """Return the sums between edges, shape (t, k + 1), of values, (t, n, 3, 3), as shape (t, k, 3, 3)."""
+    total = np.cumsum(values, axis=1)
+    before = np.concatenate([np.zeros_like(total[:, :1]), total], axis=1)
+    return np.diff(np.take_along_axis(before, edges[..., None, None], axis=1), axis=1)
 
 
 def _by_earth(data: TurnData, carried: _Carried, headings: Headings) -> FloatArray:

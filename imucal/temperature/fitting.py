@@ -184,7 +184,7 @@ def _behind(ramp: Ramp, axis: AxisBlocks, kind: Kind, lag_s: float, lagging: Flo
 
 
 def _designs(ramp: Ramp, lags: Lags, axis: AxisBlocks, kind: Kind) -> list[Design]:
-    """Return the design of each order, 0 to `MAX_ORDER`, with the lag that explains the largest sum of squares."""
+    """Return the design of each order, 0 to `MAX_ORDER`, with the lag that explains most."""
     if kind == "present":
         return [_present(ramp, axis)] * (MAX_ORDER + 1)
     tried = [
@@ -225,7 +225,7 @@ def held_out(ramp: Ramp, lags: Lags, axis: AxisBlocks, kind: Kind) -> FloatArray
             rest = tested.means - curve_on(curve, ramp, tested.places)
             squares[order] += float(np.sum(rest**2 - white))
     least = axis.white_variance / axis.counts.sum()
-    return np.sqrt(np.maximum(squares / axis.means.size, least))
+    return np.asarray(np.sqrt(np.maximum(squares / axis.means.size, least)))
 
 
 def curve_on(curve: Curve, ramp: Ramp, places: IntArray) -> FloatArray:

@@ -57,7 +57,7 @@ def simulated(logs: int, seed: int, noise: str) -> Iterator[str]:
             fit = fit_axis(ramp, lags, axis)
             own = fit.held_out or np.nan
             ratios.append(own / error_in_a_new_log(known, ramp, fit, rng))
-            cubics.append(held_out(ramp, lags, axis, "present", 3) / own)
+            cubics.append(held_out(ramp, lags, axis, "present")[3] / own)
             if shape in SMOOTH:
                 inside.append(covered(fit.curve, shape))
         share = f"{100 * np.mean(inside):5.1f} %" if inside else "      –"
