@@ -299,6 +299,7 @@ def test_a_change_of_level_that_is_likelier_than_a_walk_is_a_warning() -> None:
     assert levels.count("warning") >= 3
 
 
+@pytest.mark.slow
 def test_a_short_walk_that_resembles_a_change_of_level_is_no_warning() -> None:
     """Of 20 short records with a walk at most one has the warning, and some have the info."""
     levels = []
