@@ -92,24 +92,10 @@ def test_intervals_cover_all_smooth_shapes(noise: str) -> None:
 
 
 def test_the_error_in_unseen_parts_is_that_of_a_new_log() -> None:
-    """The median over all shapes is within 30 % of the true one."""
+    """The median over all shapes is within 30 % of the true one; a benchmark prints each."""
     rng = np.random.default_rng(106)
     ratios = []
     for number, shape in enumerate([*SHAPES] * 2):
-        known = known_ramp(shape, rng, chamber=number % 2 > 0)
-        ramp, _, fit = fitted(known)
-        assert fit.held_out is not None
-        ratios.append(fit.held_out / error_in_a_new_log(known, ramp, fit, rng))
-    assert np.median(ratios) == pytest.approx(1.0, abs=0.3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("shape", SHAPES)
-def test_the_error_of_each_shape(shape: str) -> None:
-    """The median of 24 logs of each shape is within 30 % of the true one."""
-    rng = np.random.default_rng(107)
-    ratios = []
-    for number in range(24):
         known = known_ramp(shape, rng, chamber=number % 2 > 0)
         ramp, _, fit = fitted(known)
         assert fit.held_out is not None
