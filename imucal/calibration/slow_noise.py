@@ -42,7 +42,7 @@ TRUSTED = 0.2
 _CELLS = 10
 #: Ends of the grid, in deviations of the base.
 _GRID_ENDS = (0.05, 60.0)
-#: Halvings of an interval of at least 16 deviations: the limits are exact to 1e-11 of it.
+#: Halvings of the range in which a limit is searched: it is then exact to 1e-12 of the range.
 _BISECTIONS = 40
 #: Rounds of estimating the excess and fitting again.
 _ROUNDS = 2

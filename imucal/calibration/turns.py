@@ -334,19 +334,19 @@ def _covariance(
     data: TurnData, carried: _Carried, noise: GyroNoise, directions: FloatArray, C: FloatArray
 ) -> FloatArray:
     t, m, r = len(data.rests), len(data.up), len(carried.turn)
-    # The blocks of all turns; those of turns with few samples may be empty.
+    # A turn with few samples has empty blocks.
     edges = (np.diff(data.spans) * np.linspace(0, 1, _BLOCKS + 1)).astype(np.int64)
-    block = np.diff(edges) > 0
-    spans = data.spans[:, :1, None] + np.stack([edges[:, :-1], edges[:, 1:]], axis=2)
-    spans = spans[block]
+    filled = np.diff(edges) > 0
+    blocks = data.spans[:, :1, None] + np.stack([edges[:, :-1], edges[:, 1:]], axis=2)
+    spans = blocks[filled]
     to_end = carried.to_end * data.tau0
     own = _sums(to_end, edges)[carried.turn]
     later = _sums(data.share[..., None, None] * to_end, edges)[carried.turn]
     lever = carried.lever[:, None, None]
     by_own, by_later = ((lever @ sums)[:, :, 0] @ C for sums in (own, later))
     A = np.zeros((r, len(spans) + m, 3))
-    residual, which = np.nonzero(block[carried.turn])
-    column = np.cumsum(block).reshape(block.shape) - 1
+    residual, which = np.nonzero(filled[carried.turn])
+    column = np.cumsum(filled).reshape(filled.shape) - 1
     A[residual, column[carried.turn[residual], which]] = by_own[residual, which]
     rest = len(spans) + data.rests[carried.turn]
     A[np.arange(r), rest] = (by_later - by_own).sum(axis=1)

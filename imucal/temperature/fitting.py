@@ -1,6 +1,6 @@
 """Blocks of a ramp -> curve, by least squares; the error in parts of the log that a fit has not seen."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -77,6 +77,11 @@ class Design:
         extra = [self.difference] if self.kind == "gradient" else []
         return np.column_stack([np.ones(self.followed.size), *extra, powers])
 
+    def least_squares(self, order: int, means: FloatArray) -> Curve:
+        """Return the curve of an order through the means of the blocks, without its uncertainty."""
+        solution = np.asarray(np.linalg.lstsq(self.columns(order), means)[0], np.float64)
+        return self.curve(solution, np.zeros((solution.size, solution.size)))
+
     def curve(self, solution: FloatArray, covariance: FloatArray) -> Curve:
         """Return the curve of coefficients of `columns`, shape (r,), with their covariance (r, r)."""
         first = self.first
@@ -108,7 +113,7 @@ class Fit:
     held_out: float | None
 
 
-def fit_axis(ramp: Ramp, lags: Lags, axis: AxisBlocks, kinds: Iterable[Kind] = KINDS) -> Fit:
+def fit_axis(ramp: Ramp, lags: Lags, axis: AxisBlocks) -> Fit:
     """Return the simplest curve that predicts parts of the log nearly as well as any.
 
     Each half of a branch is left out in turn: the others have both directions and nearly all temperatures.
@@ -128,20 +133,16 @@ def fit_axis(ramp: Ramp, lags: Lags, axis: AxisBlocks, kinds: Iterable[Kind] = K
         return _shown_order(_present(ramp, axis), axis, noise)
     errors = {
         (kind, order): error
-        for kind in kinds
+        for kind in KINDS
         for order, error in enumerate(held_out(ramp, lags, axis, kind).tolist())
     }
-    best = [_lowest_order(errors, kind) for kind in kinds]
+    best = [_lowest_order(errors, kind) for kind in KINDS]
     chosen = min(best, key=lambda one: errors[one] * (1.0 if one[0] == "present" else _CLEARLY))
-    designs = {kind: _designs(ramp, lags, axis, kind) for kind in kinds}
-
-    def designed(choice: tuple[Kind, int]) -> tuple[Design, int]:
-        kind, order = choice
-        return designs[kind][order], order
-
-    found = _fit(*designed(chosen), axis, noise, errors[chosen])
+    designs = {kind: _designs(ramp, lags, axis, kind) for kind in KINDS}
+    kind, order = chosen
+    found = _fit(designs[kind][order], order, axis, noise, errors[chosen])
     near = [choice for choice, error in errors.items() if error <= _NEAR * errors[chosen]]
-    others = [_coefficients(*designed(choice), axis) for choice in near]
+    others = [designs[kind][order].least_squares(order, axis.means).coefficients for kind, order in near]
     return replace(found, curve=found.curve.with_spread(others))
 
 
@@ -198,7 +199,7 @@ def _designs(ramp: Ramp, lags: Lags, axis: AxisBlocks, kind: Kind) -> list[Desig
 
 
 def _refined(ramp: Ramp, lags: Lags, axis: AxisBlocks, tried: list[Design], explained: FloatArray) -> Design:
-    """Return the design of the lag between those of `tried` that explains most, shape (l,)."""
+    """Return the design of the lag that explains most, from what those of `tried` explain, shape (l,)."""
     best = int(np.argmax(explained))
     if not 0 < best < len(tried) - 1:
         return tried[best]
@@ -221,7 +222,7 @@ def held_out(ramp: Ramp, lags: Lags, axis: AxisBlocks, kind: Kind) -> FloatArray
         seen, tested = axis.take(~fold), axis.take(fold)
         white = axis.white_variance / tested.counts
         for order, design in enumerate(_designs(ramp, lags, seen, kind)):
-            curve = design.curve(*_least_squares(design, order, seen))
+            curve = design.least_squares(order, seen.means)
             rest = tested.means - curve_on(curve, ramp, tested.places)
             squares[order] += float(np.sum(rest**2 - white))
     least = axis.white_variance / axis.counts.sum()
@@ -253,17 +254,6 @@ def _shown_order(design: Design, axis: AxisBlocks, noise: BlockNoise) -> Fit:
         if found.curve.coefficients[-1] ** 2 > _PRICE * found.curve.covariance[-1, -1]:
             return found
     return _fit(design, 0, axis, noise, None)
-
-
-def _coefficients(design: Design, order: int, axis: AxisBlocks) -> FloatArray:
-    """Return the coefficients of a curve of least squares, shape (order + 1,), in U/K^k."""
-    return design.curve(*_least_squares(design, order, axis)).coefficients
-
-
-def _least_squares(design: Design, order: int, axis: AxisBlocks) -> tuple[FloatArray, FloatArray]:
-    """Return the coefficients of the columns, shape (r,), and a covariance of zeros."""
-    solution = np.asarray(np.linalg.lstsq(design.columns(order), axis.means)[0], np.float64)
-    return solution, np.zeros((solution.size, solution.size))
 
 
 def _fit(design: Design, order: int, axis: AxisBlocks, noise: BlockNoise, error: float | None) -> Fit:

@@ -175,10 +175,10 @@ def test_the_truth_is_in_the_intervals(frame: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("frame", FRAMES)
 def test_coverage_in_every_frame(frame: str) -> None:
-    """One hundred logs: the errors of the frame and of the turns are correlated."""
+    """Two hundred logs: the errors of the frame and of the turns are correlated."""
     hits = []
     models = {f"{s.short}_{axis}": ROUGH[s is Sensor.GYROSCOPE] for s in Sensor for axis in AXES}
-    for seed in range(731_000, 731_100):
+    for seed in range(731_000, 731_200):
         truth, one = drawn(seed, ROUGH)
         found = imucal.calibrate(one.recording(), models, 47.4, gravity=GRAVITY, frame=frame)
         hits.append(list(truth_inside(truth, one, found).values()))

@@ -80,7 +80,7 @@ def suggestions(text: str) -> set[tuple[float, float]]:
     return {(float(a or 0), float(a or 0) + float(b)) for a, b in SUGGESTED.findall(flat)}
 
 
-@pytest.mark.parametrize("seed", first_by_default(range(60), 4))
+@pytest.mark.parametrize("seed", first_by_default(range(120), 4))
 def test_a_suggestion_works_and_holds_no_disturbance(seed: int, tmp_path: Path) -> None:
     """One part is suggested wherever there is one; typed, it gives code 0 and is not suggested again."""
     log = drawn(seed)
